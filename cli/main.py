@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+import typer.main
 
 from cli.bench.bench import add_bench, add_firmware
 from cli.bench.calibrate import add_calibration
@@ -101,6 +103,12 @@ def demo_command(runs: OutOption = Path("out/demo")) -> None:
     raise typer.Exit(demo(runs))
 
 
+@functools.cache
+def command_line() -> Any:
+    """The whole command line. Once per process: the annotations of all options are read for it."""
+    return typer.main.get_command(app)
+
+
 def main() -> None:
     """Entry point of the console script: user errors become one line and exit status 2."""
     # How a sum is split among threads decides its last digit, and that which of two equals leads.
@@ -113,7 +121,7 @@ def main() -> None:
 
     with plain_output():
         try:
-            app(standalone_mode=True)
+            command_line()(standalone_mode=True)
         except (PamrigError, PlantError) as error:
             typer.echo(printable(f"pamrig: {error}"), err=True)
             sys.exit(2)

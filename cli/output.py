@@ -36,7 +36,8 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise PamrigError(str(path), f"cannot be written: {error}", "choose another file") from None
+        what = f"cannot be written: {error.strerror or error}"
+        raise PamrigError(str(path), what, "choose another file") from None
 
 
 def state_findings(findings: Iterable[str], run: str = "") -> None:

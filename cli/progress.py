@@ -5,11 +5,13 @@ It stands on stderr, only where that is a terminal, and it is gone when the comm
 
 from __future__ import annotations
 
+import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from types import FrameType
 from typing import TypeVar
 
 from daq.progress import heard_by
@@ -61,6 +63,38 @@ class _Line:
 
 
 @contextmanager
+def interrupt_kept() -> Iterator[Callable[[], None]]:
+    """Ctrl-C counts inside, also where it is pressed while a library takes it for its own error.
+
+    An import that tries what is installed, or the end of an object's life, may swallow it. Gives a
+    function that raises it again.
+
+    Raises:
+        KeyboardInterrupt: at once, from that function, or at the end of the context.
+    """
+    pressed = threading.Event()
+
+    def handler(number: int, frame: FrameType | None) -> None:
+        pressed.set()
+        signal.default_int_handler(number, frame)
+
+    def again() -> None:
+        if pressed.is_set():
+            raise KeyboardInterrupt
+
+    in_main = threading.current_thread() is threading.main_thread()
+    if not in_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield lambda: None  # somebody else keeps it
+        return
+    signal.signal(signal.SIGINT, handler)
+    try:
+        yield again
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    again()
+
+
+@contextmanager
 def progress_line(what: str = "") -> Iterator[Callable[[str], None]]:
     """Show ``what``, then every stage that is reported inside (`daq.progress`), and the time.
 
@@ -71,8 +105,14 @@ def progress_line(what: str = "") -> Iterator[Callable[[str], None]]:
         return
     line = _Line(what or "working")
     try:
-        with heard_by(line.say):
-            yield line.say
+        with interrupt_kept() as interrupt:
+
+            def say(text: str) -> None:
+                interrupt()
+                line.say(text)
+
+            with heard_by(say):
+                yield say
     finally:
         line.close()
 

@@ -24,6 +24,15 @@ NEWEST_S = 1.0
 __all__ = ["RecordedRun", "diagnose", "open_rig", "open_run", "runs", "simulate"]
 
 
+def __getattr__(name: str) -> Any:
+    """`pamrig.figures` without an import of its own, loaded when it is used first."""
+    if name != "figures":
+        raise AttributeError(f"module 'pamrig' has no attribute {name!r}")
+    import importlib
+
+    return importlib.import_module("pamrig.figures")
+
+
 class RecordedRun:
     """A recorded run as tables.
 
@@ -85,7 +94,11 @@ class RecordedRun:
         Raises:
             ModuleNotFoundError: xarray is not installed.
         """
-        import xarray as xr
+        try:
+            import xarray as xr
+        except ModuleNotFoundError:
+            text = "xarray is not installed (pip install 'pamrig[xarray]')"
+            raise ModuleNotFoundError(text, name="xarray") from None
 
         from analysis.formats.columns import described
 

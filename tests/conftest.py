@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import tomllib
 from pathlib import Path
 
 import pytest
+import typer.testing
 
 HOUSE = Path(__file__).resolve().parent.parent
 _PYPROJECT = tomllib.loads((HOUSE / "pyproject.toml").read_text(encoding="utf-8"))
 PACKAGES: list[str] = _PYPROJECT["tool"]["importlinter"]["root_packages"]
 os.environ["PAMRIG_DIAGNOSES"] = "off"  # each test computes what it claims
+# As `cli.main.command_line` does: all commands are built once, not anew for each that is run.
+typer.testing._get_command = functools.cache(typer.testing._get_command)  # type: ignore[attr-defined]
 SLOW = Path(__file__).with_name("slow.txt")
 
 

@@ -161,7 +161,7 @@ def test_a_run_with_fewer_than_three_lengths_has_lines_but_no_law(tmp_path: Path
     data = report_json(open_run(truth.folder))
     assert len(data["lengths"]) == 1
     assert data["laws"] == []
-    assert "N/kPa at a length of 60.0" in data["headline"]
+    assert re.search(r" \d\.\d+ ± \d\.\d+ N/kPa at a length of 60\.0", data["headline"])
 
 
 def test_no_more_is_claimed_than_the_pressures_that_were_measured(tmp_path: Path) -> None:
@@ -183,7 +183,7 @@ def test_one_held_pressure_is_told_as_one(tmp_path: Path) -> None:
         tmp_path, np.random.default_rng(1), pressures_kpa=(200.0,), protocol="isobaric"
     )
     headline = report_json(open_run(truth.folder))["headline"]
-    text = r"At a constant pressure of 200 kPa the force rises by \d\.\d+ N per mm .*"
+    text = r"At a constant pressure of 200 kPa the force rises by \d\.\d+ ± \d\.\d+ N per mm .*"
     assert re.fullmatch(text, headline)
     several = write_run(tmp_path, np.random.default_rng(1), protocol="isobaric").folder
     headline = report_json(open_run(several))["headline"]

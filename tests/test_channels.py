@@ -22,11 +22,12 @@ from protocol_runs import run_short
 from rigs.bench.doctor import examine
 from rigs.bench.rig import open_rig
 from rigs.calibration.force import calibrate_force
-from rigs.execution.runner import Runner
+from rigs.execution.runner import Runner, Watch
 from rigs.execution.session import Result
 from rigs.rigfile.calibration_file import write_calibration
 from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
+from rigs.virtual.board.inputs import VirtualBridge
 
 RIG = "virtual-channels"
 
@@ -266,6 +267,35 @@ def test_a_cell_is_calibrated_with_weights(tmp_path: Path) -> None:
     config = rig_with(tmp_path, (lines, 'calibration = "cell.toml"'))
     assert config.calibrations["force_n"].id == made.id
     assert config.calibrations["force_n"].raw_unit == "g"
+
+
+@pytest.mark.parametrize("noise", [0.0, 2000.0])
+def test_a_weight_at_the_end_of_the_converter_is_left_out_of_the_calibration(
+    noise: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With noise some of its readings are within the range: their mean was 0.2 N too low."""
+    rng, said = np.random.default_rng(3), list[str]()
+    bridge, at_5_kg = VirtualBridge.read, round(5.0 * 9.80665 / 8.3e-5)
+
+    def read(self: VirtualBridge, now_us: int) -> int:
+        beyond = float(rng.normal(0.0, noise)) if noise else 20_000.0
+        self.pull = 2**23 - at_5_kg + beyond
+        return bridge(self, now_us)
+
+    monkeypatch.setattr(VirtualBridge, "read", read)
+    done = calibrate_force(
+        load_rig(RIG), [0.0, 1.0, 2.5, 5.0], tmp_path, weights=Reference("E-1", u_gain=1e-4),
+        seconds=1.0, watch=Watch(log=said.append),
+    )  # fmt: skip
+    assert sorted({reference for _, reference, _ in done.points}) == pytest.approx(
+        [0.0, 9.80665, 2.5 * 9.80665]
+    )
+    assert said == [
+        "calibrate force, 5 kg: left out, cell (hx711 at the valve controller on valve)"
+        " is at the end of its range"
+    ]
+    events = open_run(done.folder).events
+    assert [e["mass_kg"] for e in events if e["kind"] == "left_out"] == [5.0]
 
 
 # ---- rig files ------------------------------------------------------------------------

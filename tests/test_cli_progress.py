@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import pty
@@ -17,10 +18,13 @@ import pytest
 
 from cli import progress
 from cli.progress import counting, progress_line
+from cli.protocols import terminal as terminal_lines
+from cli.protocols.terminal import ProgressLine
 from daq.progress import counted, stage
 from daq.store.run import open_run
 from daq.store.verify import verify
 from protocol_runs import run_short
+from rigs.steps.watching import Progress
 
 
 class Terminal(io.StringIO):
@@ -87,12 +91,94 @@ def test_what_is_quick_or_not_on_a_terminal_shows_nothing(
     assert file.getvalue() == ""
 
 
+class Clock:
+    """Stands for the module `time`: it stands still until it is moved."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+def a_test_of_two_hours(line: ProgressLine, clock: Clock, every_s: float) -> None:
+    """Shows 24 trials of 5 minutes, with a state each and a point every `every_s` seconds."""
+    shown = Progress(points=24 * round(300 / every_s), seconds=7200.0)
+    rig = SimpleNamespace(clock=SimpleNamespace(virtual=False))
+    line.start(SimpleNamespace(progress=shown, rig=rig), SimpleNamespace(folder="runs/r"))  # type: ignore[arg-type]
+    watch = line.watch()
+    for trial in range(1, 25):
+        shown.state = f"trial {trial}"
+        watch.state(shown.state)
+        for _ in range(round(300 / every_s)):
+            clock.now += every_s
+            shown.done, shown.spent_s = shown.done + 1, shown.spent_s + every_s
+            watch.point(None, 0.0, 0.0, 0.0)  # type: ignore[arg-type]
+    watch.log("NOTE: over")
+    line.close()
+
+
+def test_a_test_in_a_file_writes_few_lines_and_no_carriage_return(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    file, clock = io.StringIO(), Clock()
+    monkeypatch.setattr(sys, "stderr", file)
+    monkeypatch.setattr(terminal_lines, "time", clock)
+    a_test_of_two_hours(ProgressLine(quiet=False), clock, 1.0)
+    text = file.getvalue()
+    assert "\r" not in text
+    lines = text.splitlines()
+    assert lines[1].startswith("  trial 1  0/7200 points")
+    assert lines[-1] == "NOTE: over"
+    # One for each 10 s until 200 s, then for each twentieth of the time since the start.
+    assert 60 < len(lines) < 120
+    assert len(set(lines)) == len(lines)
+
+
+def test_a_test_at_a_terminal_draws_one_line_and_messages_stand_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made, clock = Terminal(), Clock()
+    monkeypatch.setattr(sys, "stderr", made)
+    monkeypatch.setattr(terminal_lines, "time", clock)
+    a_test_of_two_hours(ProgressLine(quiet=False), clock, 30.0)
+    first, *drawn = made.getvalue().split("\r")
+    assert first.splitlines()[0] == "recording to runs/r"
+    assert len(drawn) > 200
+    last, message = drawn[-1].splitlines()
+    assert last.rstrip() == "trial 24  240/240 points"
+    assert message == "NOTE: over"
+
+
 def test_rows_are_counted_where_they_do_not_appear_themselves(terminal: Terminal) -> None:
     seen = []
     for item in counting(range(3), "frames"):
         seen.append(item)
         wait_for(terminal, f"frames: {item + 1}")
     assert seen == [0, 1, 2]
+
+
+@pytest.mark.parametrize("stages", [0, 1])
+def test_ctrl_c_that_a_library_swallowed_counts_at_the_next_stage_or_at_the_end(
+    terminal: Terminal, stages: int
+) -> None:
+    """A report went on, with status 0, when it was pressed in the middle of an import."""
+    del terminal
+    reached: list[str] = []
+    before = signal.getsignal(signal.SIGINT)
+
+    def command() -> None:
+        with progress_line("report"):
+            with contextlib.suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+            for _ in range(stages):
+                stage("the next one")
+                reached.append("beyond")
+
+    with pytest.raises(KeyboardInterrupt):
+        command()
+    assert reached == []
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_a_report_stopped_by_ctrl_c_leaves_record_and_old_report(tmp_path: Path) -> None:

@@ -202,6 +202,8 @@ def test_a_run_is_found_by_path_by_name_and_by_a_part_that_is_its_own(tmp_path: 
         find_run(tmp_path, "isometric")
     with pytest.raises(RecordError, match="no run named"):
         find_run(tmp_path, "xyzzy")
+    with pytest.raises(RecordError, match=r"there are no runs in .*choose the folder of your runs"):
+        find_run(tmp_path / "other", "last")
 
 
 def test_show_tells_what_a_run_holds(tmp_path: Path) -> None:

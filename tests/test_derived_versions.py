@@ -59,12 +59,12 @@ def rebuild(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
 @pytest.fixture(scope="module")
 def twice(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the run with two derived versions, which verify as sound."""
-    from cli.main import app
+    from cli.main import command_line
 
     folder = Path(shutil.copytree(recorded, tmp_path_factory.mktemp("two") / recorded.name))
     for _ in range(2):
         words = ["runs", "rebuild", str(folder), "--vision", "region=whole", "--json"]
-        app(words, standalone_mode=False)
+        command_line()(words, standalone_mode=False)
     assert verify(open_run(folder)) == []
     return folder
 

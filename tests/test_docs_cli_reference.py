@@ -101,11 +101,11 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def printed(words: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> Any:
     """The JSON value of a command, without a process of its own."""
-    from cli.main import app
+    from cli.main import command_line
 
     monkeypatch.chdir(folder)
     capsys.readouterr()
-    app([*words, "--json"], standalone_mode=False)
+    command_line()([*words, "--json"], standalone_mode=False)
     return json.loads(capsys.readouterr().out)
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from docs.make.commands import program
+from cli.main import command_line
 from import_sets import prepare_page
 from plant.models import catalogue
 from rigs.rigfile.config import load_rig
@@ -145,7 +145,7 @@ def serve(folder: Path, command: str) -> None:
 def test_every_command_of_the_page_exists_with_its_options(page: str) -> None:
     for line in commands(page):
         words = [PLACES.get(word, word) for word in shlex.split(line)][1:]
-        command = program()
+        command = command_line()
         while hasattr(command, "commands") and words and words[0] in command.commands:
             command = command.commands[words.pop(0)]
         known = {option for parameter in command.params for option in parameter.opts}

@@ -132,7 +132,7 @@ def test_the_first_day_goes_as_its_page_tells(tmp_path: Path) -> None:
 
     assert "ready to run" in by["pamrig doctor --rig"][0]
     text, asked = by["pamrig calibrate force"]
-    assert asked[0].startswith("take the muscle off the force sensor")
+    assert asked[0].startswith("take the muscle off the load cell")
     assert [a for a in asked if "5 kg" in a]
     assert asked[-1].startswith("mount the muscle again")
     assert "linear within" in text

@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from pypdf import PdfReader
 from typer.testing import CliRunner
@@ -18,7 +19,7 @@ from daq.errors import PamrigError
 from gap.data.from_runs import open_data
 from gap.reason import Cause, reason
 from gap.reporting.examination import Examination, examine
-from gap.reporting.figures import maps
+from gap.reporting.figures import course, maps, stages
 from gap.reporting.report import render_report, report_figures
 from gap.reporting.text import experiment_sentence, headline, parameter_text, rivals
 from gap.verdict import (
@@ -76,7 +77,7 @@ def test_the_letter_of_a_real_data_set_tells_the_verdict_and_its_reasons(
     page = render_report(liner)
     assert "liner_threshold" in headline(liner.verdict)
     assert headline(liner.verdict).split(" (")[0] in page
-    for part in ("What it could be", "And why not", "What to do next", liner.digest):
+    for part in ("What it could be", "Why not others", "What to do next", liner.digest):
         assert part in page
     # Stages, two maps, courses and ladder are drawn.
     assert liner.verdict.stages
@@ -221,3 +222,17 @@ def test_the_pdf_begins_with_the_sentence(liner: Examination) -> None:
     first = re.sub(r"\s+", " ", PdfReader(io.BytesIO(made)).pages[0].extract_text())
     assert headline(liner.verdict).split(" (")[0] in first
     assert "What to do next" in first, "sentence, traces and advice are on page one"
+
+
+def test_no_legend_covers_a_bar_and_one_stage_does_not_fill_its_figure(liner: Examination) -> None:
+    assert liner.field is not None
+    figure = course(liner.field)
+    assert figure is not None
+    figure.canvas.draw()
+    (axes,) = figure.axes
+    legend = axes.get_legend()
+    assert legend is not None
+    assert legend.get_window_extent().y0 >= axes.get_window_extent().y1
+    one = stages(PLAIN.stages[:1])
+    assert one is not None
+    assert one.axes[0].patches[0].get_height() < 0.6 * abs(np.diff(one.axes[0].get_ylim())[0])

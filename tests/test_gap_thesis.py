@@ -54,7 +54,7 @@ def test_the_floor_of_c1_is_that_of_a_table_smooth_in_length() -> None:
 def test_the_ladder_of_c1_rises_by_two_effects_and_ends_above_the_floor(
     verdicts: dict[str, TableVerdict],
 ) -> None:
-    found = verdicts["C-1 at 21 degC"]
+    found = verdicts["C-1 at 21 °C"]
     kept = [step for step in found.steps if step.kept]
     assert [list(step.added) for step in kept] == [[], ["liner_threshold"], ["bladder_elasticity"]]
     assert not found.steps[-1].kept
@@ -63,14 +63,14 @@ def test_the_ladder_of_c1_rises_by_two_effects_and_ends_above_the_floor(
     assert found.floor_n is not None
     assert errors[-1] > found.floor_n
     assert found.published is not None
-    assert found.published[0] == pytest.approx(6.156, abs=0.02)  # Table 4-3, deterministic, 21 degC
+    assert found.published[0] == pytest.approx(6.156, abs=0.02)  # Table 4-3, deterministic, 21 °C
 
 
 def test_nothing_is_claimed_of_the_warm_columns_or_of_few_settings(
     verdicts: dict[str, TableVerdict],
 ) -> None:
-    assert "formula" in verdicts["C-1 at 21 to 39 degC"].reason
-    for name in ("C-1 at 21 to 39 degC", "C-3", "C-4", "C-6"):
+    assert "formula" in verdicts["C-1 at 21 to 39 °C"].reason
+    for name in ("C-1 at 21 to 39 °C", "C-3", "C-4", "C-6"):
         assert verdicts[name].status == "below_resolution"
     cycles = verdicts["C-4"].up_down
     assert cycles is not None

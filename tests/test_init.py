@@ -62,6 +62,9 @@ def test_every_bench_that_can_be_answered_is_a_rig_file(
     real = load_rig(made(tmp_path, **given))
     assert not real.is_virtual
     assert "not calibrated" in real.text
+    for line in real.text.splitlines():  # what is left open says what to enter
+        assert not line.rstrip().endswith('""')
+        assert not line.startswith("serial")
     rig = made(tmp_path, **given, bench="virtual")
     stops = [f for f in examine(rig, tmp_path) if f.status == "stop"]
     assert not stops
@@ -138,7 +141,7 @@ def test_each_device_is_found_by_who_it_says_it_is(rig: str, tmp_path: Path) -> 
         for device, serial in expected.items():
             table = tables.get(device) or tables["instruments"][device]
             assert table["port"] == there[device], device
-            assert table["serial"] == serial
+            assert table.get("serial", "") == serial
         findings = examine(config.source, tmp_path)
         # What is not known of a sensor is its calibration: its range may be another.
         allowed = ("pressure", "camera")
@@ -175,6 +178,11 @@ def test_ports_are_guesses_in_their_order_where_nobody_was_asked() -> None:
     assert tomllib.loads(text)["valve"]["port"] == "/dev/ttyACM0"
     assert tomllib.loads(text)["balance"]["port"] == "/dev/ttyUSB0"
     assert any("FT232" in line for line in said)
+
+
+def test_where_no_port_was_found_each_device_has_another_one() -> None:
+    text = tomllib.loads(ask_rig(Interview(), NOTHING))
+    assert [text[name]["port"][-1] for name in ("valve", "balance", "stage")] == ["0", "1", "2"]
 
 
 def test_genicam_cameras_are_listed_by_serial_number() -> None:

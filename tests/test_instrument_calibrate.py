@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -196,8 +197,16 @@ def test_an_uncertainty_that_is_none_is_refused_before_anything_is_loaded(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_rig_without_a_force_sensor_is_refused(tmp_path: Path) -> None:
+    """`calibrate force --rig virtual-joint` waited for readings for ever."""
+    with pytest.raises(ConfigError, match="has no balance and no load cell to calibrate"):
+        calibrate_force(load_rig("virtual-joint"), [0, 1, 2], tmp_path, weights=WEIGHTS)
+
+
 def test_weights_beyond_the_limit_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"30 kg is 294.2 N, limits.force_n is 200 N"):
+    with pytest.raises(
+        ConfigError, match=r"30 kg is outside 0 to 20.39 kg .*limits.force_n = 200 N"
+    ):
         calibrate_force(load_rig("virtual"), [0, 10, 30], tmp_path, weights=WEIGHTS)
 
 
@@ -282,6 +291,17 @@ def test_a_file_is_not_overwritten_unasked(calibrated: Calibrated, tmp_path: Pat
         write_calibration(path, file, calibrated.points)
     back = load_calibration(str(path), "rig", "pressure_kpa", file.calibration.raw_unit)
     assert back.reference == file.reference
+
+
+def test_a_sensor_without_serial_number_leaves_the_key_open(
+    calibrated: Calibrated, tmp_path: Path
+) -> None:
+    path, file = tmp_path / "p.toml", dataclasses.replace(calibrated.file, instrument="")
+    write_calibration(path, file, calibrated.points)
+    assert "instrument" not in tomllib.loads(path.read_text())
+    assert "# instrument = " in path.read_text()
+    back = load_calibration(str(path), "rig", "pressure_kpa", serial="VB-0004")
+    assert back.instrument == ""
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,19 @@ from daq.errors import ConfigError, DeviceError
 from daq.interrupt import StopFlag, Stopped
 from daq.store.run import open_run
 from daq.store.verify import verify
+from protocol_runs import run_short
 from rigs.bench.doctor import examine
 from rigs.bench.rig import open_rig
 from rigs.calibration.force import calibrate_force
 from rigs.devices.event_loop import EventLoop
-from rigs.devices.operator import ManualAxis, Request, read_number, request_done, request_number
+from rigs.devices.operator import (
+    ManualAxis,
+    Request,
+    read_number,
+    request_done,
+    request_enter,
+    request_number,
+)
 from rigs.execution.runner import Runner
 from rigs.execution.session import run_protocol
 from rigs.protocols.isometric import load_isometric
@@ -135,6 +144,23 @@ def test_a_mass_far_from_the_requested_one_is_typed_twice_and_never_above_the_li
     assert axis.set(1.154).taken == 1.2
     assert asked[1].startswith("60 kg is above the limit of this rig, 51 kg. Again: ")
     assert asked[2].startswith("1.154 kg was requested, not 5: type 5 again if that is what hangs.")
+
+
+def test_only_enter_confirms_where_nothing_can_be_typed() -> None:
+    """`q` at a prompt of `calibrate force` was taken for Enter, and the weight was measured."""
+    asked: list[Request] = []
+
+    class Person(Typist):
+        def begin(self, request: Request) -> None:
+            asked.append(request)
+
+    request = Request("dead weight", 1.0, "kg", "hang 1 kg on the load cell, then press Enter")
+    request_enter(Person("q", "2", ""), EventLoop(VirtualClock(), 0.02), request)
+    whys = ["'q' is not Enter; Ctrl-C ends", "'2' is not Enter; Ctrl-C ends"]
+    assert [r.again for r in asked] == ["", *whys]
+    assert asked[2].text == f"{whys[1]}. Again: {request.text}"
+    with pytest.raises(DeviceError, match="'q' is not Enter, after 10 answers"):
+        request_enter(Typist(*["q"] * 20), EventLoop(VirtualClock(), 0.02), request)
 
 
 @pytest.mark.parametrize("words", [("abc", "-1", ""), ("0.7", "3"), ("7", "2,5 mm")])
@@ -326,6 +352,28 @@ def test_a_load_is_given_a_catch_and_the_record_says_so_when_it_was_needed(tmp_p
     assert [e["below_mm"] for e in events if e["kind"] == "catch"] == [3.0]
     (lowered,) = (e for e in events if e["kind"] == "lowered")
     assert (lowered["done"], lowered["catch_mm"]) == (False, 3.0)
+
+
+@pytest.mark.parametrize("rig", ["virtual", "virtual-laser"])
+def test_a_load_that_stretches_the_muscle_too_far_ends_the_test_before_it_is_filled(
+    rig: str, tmp_path: Path
+) -> None:
+    """15 kg: the test ended with `vent_lost`, or with a length outside the calibration."""
+    config = load_rig(rig)
+    assert config.limits.length_max_mm == 72.5
+    result, run, _ = run_short(
+        "isotonic", tmp_path, config=config, masses_kg=(5.0, 15.0), pressures_kpa=(300.0,)
+    )
+    assert result.outcome == "faulted"
+    words = (
+        r"vented muscle is (79|80)\.\d mm long under 15 kg: above limits.length_max_mm = 72.5 by"
+    )
+    assert re.search(words, str(result.error)), result.error
+    assert "load.stretch = 0.05" in str(result.error)
+    loads = [e for e in run.events if e["kind"] == "load"]
+    assert [e["mass_kg"] for e in loads] == [5.0, 15.0]
+    after = [e for e in run.events if e["n"] > loads[1]["n"]]
+    assert not [e for e in after if e["kind"] in ("command", "point") and e.get("pressure_kpa")]
 
 
 # ---- the isometric test has the habits of the others ------------------------------------

@@ -194,6 +194,19 @@ def test_the_doctor_lists_them_all(tmp_path: Path) -> None:
     assert not [f for f in findings.values() if f.status == "stop"]
 
 
+def test_the_doctor_names_what_measures_the_force(tmp_path: Path) -> None:
+    by_rig = {
+        rig: {f.what: f for f in examine(rig, tmp_path)} for rig in ("virtual-weights", "virtual")
+    }
+    assert by_rig["virtual-weights"]["force"].detail.startswith("from [load_cell], noise 0.0")
+    assert by_rig["virtual"]["force"].detail.startswith("from [balance], noise 0.0")
+    assert not [what for what in by_rig["virtual-weights"] if "balance" in what]
+
+
+def test_the_doctor_looks_for_no_marks_on_a_simulated_ram(tmp_path: Path) -> None:
+    assert {f.status for f in examine("virtual-ram", tmp_path)} == {"ok", "warn"}
+
+
 def test_the_doctor_names_the_one_that_does_not_answer(tmp_path: Path) -> None:
     path = rig_file(
         tmp_path, ("device_id = 7", "device_id = 7\nlow = 50.0"), ("low = -100.0\n", "")

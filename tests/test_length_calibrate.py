@@ -20,6 +20,7 @@ from daq.store.run import open_run
 from rigs.bench.due import due_calibrations
 from rigs.calibration.length import calibrate_length
 from rigs.calibration.run import Calibrated
+from rigs.execution.runner import Watch
 from rigs.rigfile.calibration_file import write_calibration
 from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
@@ -44,6 +45,31 @@ def error_of(done: Calibrated, config: RigConfig, name: str, length_mm: float) -
     c = done.file.calibration
     found = float(c.apply(reading_at(config, name, length_mm)))
     return (found - length_mm) / float(c.u(length_mm))
+
+
+def laser_to(folder: Path, high: float) -> RigConfig:
+    """The bench with a laser that reads up to so many mm; a length of 52 mm reads 43."""
+    path = folder / "rig.toml"
+    path.write_text(load_rig("virtual-laser").text.replace("high = 45.0", f"high = {high}"))
+    return load_rig(str(path))
+
+
+def test_lengths_at_the_end_of_the_range_are_left_out(tmp_path: Path) -> None:
+    """The stage is begun with where the laser can read it."""
+    said: list[str] = []
+    done = calibrate_length(
+        laser_to(tmp_path, 43.0), LENGTHS, tmp_path, blocks=EXACT, by_stage=True, seconds=0.5,
+        watch=Watch(log=said.append),
+    )  # fmt: skip
+    assert min(reference for _, reference, _ in done.points) == pytest.approx(57.0, abs=0.1)
+    assert len(done.points) == 7
+    assert len(said) == 2
+    assert all("52 mm: left out, " in line for line in said)
+    with pytest.raises(PamrigError, match="points within its range: 1, needed: 3"):
+        calibrate_length(
+            laser_to(tmp_path, 34.0), [52.0, 57.0, 60.0, 62.0], tmp_path, blocks=EXACT,
+            by_stage=True, seconds=0.5,
+        )  # fmt: skip
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -15,7 +15,7 @@ from plant.fitting.thesis_points import thesis_points
 from plant.thesis import anomalies, array
 
 REPRODUCES = {
-    "Table C-9 (21 degC)", "Equation 4-34", "Equation 4-40", "Equation 4-45", "Table 4-1",
+    "Table C-9 (21 °C)", "Equation 4-34", "Equation 4-40", "Equation 4-45", "Table 4-1",
     "Equation 4-47", "Equations 4-48, 4-50", "Equation 4-51", "Table 4-2 = Table C-35",
     "Full-regression C-8", "Full-regression C-9", "Full-regression D-1, Equation 5-9",
     "Means of Table C-5, Table 4-4", "Means of Table C-7", 'Table D-3, row "std"',
@@ -23,7 +23,7 @@ REPRODUCES = {
     "Best-fit C-10", "Table 4-3, C-39 to C-44: deterministic", "Ranks of Table C-33",
 }  # fmt: skip
 MENDED = {
-    "Table C-26 (21 degC)", "Equation 4-35", "Equation 4-36", "Equation 4-39", "Table C-37",
+    "Table C-26 (21 °C)", "Equation 4-35", "Equation 4-36", "Equation 4-39", "Table C-37",
     "Equation 4-44, Table C-38", "Ranks of Table C-8",
     "Equations 4-53 to 4-57, Full-regressions C-2 to C-7",
 }  # fmt: skip
@@ -77,7 +77,7 @@ def test_every_anomaly_that_the_audit_cites_is_shipped(rows) -> None:
 @pytest.mark.parametrize(
     ("item", "said"),
     [
-        ("Table C-26 (21 degC)", "0.261 for 0.026"),
+        ("Table C-26 (21 °C)", "0.261 for 0.026"),
         ("Table C-37", "2.05079 at 300 kPa for 2.50579"),
         ("Equation 4-36", "-7.5 N"),
         ("Tables C-10 to C-15", "1.038, 1.078"),
@@ -223,7 +223,7 @@ def test_the_ranks_of_sine_and_cosine_are_what_does_not_follow(rows) -> None:
     """Length and its cube lead in every row of C-16, C-17 and C-34, as printed."""
     for name in ("C-16", "C-17", "C-34"):
         assert "the first 2 places are right in every row" in rows[f"Ranks of Table {name}"].reason
-    assert "at 30, 33, 36, 39 degC the printed ranks are not 1 to 4" in (
+    assert "at 30, 33, 36, 39 °C the printed ranks are not 1 to 4" in (
         rows["Ranks of Table C-17"].reason
     )
     assert rows["Ranks of Table C-16"].recomputed == "3 of 7 the same"

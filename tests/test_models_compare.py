@@ -101,7 +101,7 @@ def test_whole_temperatures_can_be_held_out() -> None:
     points = thesis_points("c01", warm=True)
     names = ("black-box-t", "quasi-static")
     found = compare([catalogue.get(n) for n in names], points, holdout="temperature")
-    assert found.groups[0] == "21 degC"
+    assert found.groups[0] == "21 °C"
     assert found.scores[0].model == "black-box-t"
 
 

@@ -21,3 +21,13 @@ def test_a_load_that_speeds_up_towards_a_stop_arrives() -> None:
         sim.advance(1e-3, 1e-3, 0.0)
     assert sim.length_mm > 72.5
     assert sim.length_mm < 73.5
+
+
+def test_a_muscle_that_is_led_to_a_length_keeps_its_pressure() -> None:
+    """At once, the same way compresses what is in it."""
+    led, moved = BenchSim(nominal(), length_m=0.06), BenchSim(nominal(), length_m=0.06)
+    led.lead_to(74.0)
+    moved.set_length(74.0)
+    assert led.length_mm == moved.length_mm == 74.0
+    assert led.pressure_kpa == 0.0
+    assert moved.pressure_kpa > 10.0

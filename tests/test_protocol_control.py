@@ -197,7 +197,8 @@ def test_every_point_is_put_into_the_live_view(
     ("slot", "words"),
     [
         ("M1.154 to 400 kPa", "1.154 kg to 400 kPa"), ("P300 swept", "300 kPa swept"),
-        ("L64", "64 mm"), ("300 ± 40 kPa", "300 ± 40 kPa"), ("Lower", "Lower"),
+        ("L64", "64 mm"), ("M5", "5 kg"), ("M12.5", "12.5 kg"),
+        ("300 ± 40 kPa", "300 ± 40 kPa"), ("Lower", "Lower"),
     ],
 )  # fmt: skip
 def test_a_trial_is_shown_with_its_unit(slot: str, words: str) -> None:

@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.figures.wording import fixed
 from analysis.reduction.pictures import measure_stored
+from analysis.reporting.page_one import conditions_text
 from bench_process import LIMIT_S, STARVED_MS, run_in_real_time
 from daq.interrupt import StopFlag
 from daq.store.run import open_run
@@ -114,7 +116,9 @@ def leaky(kpa_s: float) -> Any:
     return begin
 
 
-@pytest.mark.parametrize(("kpa_s", "outcome"), [(0.0, "clean"), (0.3, "clean"), (3.0, "faulted")])
+@pytest.mark.parametrize(
+    ("kpa_s", "outcome"), [(0.0, "clean"), (0.3, "clean"), (3.0, "faulted"), (-3.0, "faulted")]
+)
 def test_a_leak_is_found_before_the_test(tmp_path: Path, kpa_s: float, outcome: str) -> None:
     check = {"leak": LeakCheck(300.0, 3.0, 1.0)}
     result, run, _ = run_short(
@@ -124,8 +128,12 @@ def test_a_leak_is_found_before_the_test(tmp_path: Path, kpa_s: float, outcome: 
     (leak,) = events(run, "leak")
     assert leak["loss_kpa_s"] == pytest.approx(kpa_s, abs=0.1)
     assert leak["tight"] == (outcome == "clean")
+    shown = f"loss in the leak check {fixed(leak['loss_kpa_s'], 3)} kPa/s"
+    assert shown in conditions_text(run), "a rise is a negative loss"
     if outcome == "faulted":
-        assert "leak" in str(result.error)
+        way, where = ("fell", "fittings") if kpa_s > 0 else ("rose", "inlet")
+        assert f"{way} by {abs(leak['loss_kpa_s']):.3f} kPa/s" in str(result.error)
+        assert where in str(result.error)
         assert not events(run, "point")
 
 

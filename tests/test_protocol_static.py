@@ -6,6 +6,7 @@ import dataclasses
 import math
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +28,16 @@ from protocol_runs import (
     run_short,
     with_virtual,
 )
+from rigs.execution.procedure import Plan
 from rigs.execution.runner import Runner
 from rigs.execution.session import run_protocol
 from rigs.protocols.names import default_rig
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import load_rig
 from rigs.rigfile.toml_reader import find_config
+from rigs.steps.loads import HangLoad
+from rigs.steps.muscle.held import HeldPart
+from rigs.steps.steps import Measure, Settle, Trial
 from rigs.virtual.bench import VirtualBench
 
 STATIC = ("isobaric", "isotonic", "isothermal", "hysteresis")
@@ -278,6 +283,54 @@ def test_the_muscle_is_mounted_anew_between_replicates(tmp_path: Path) -> None:
     begins = [e for e in events(run, "trial") if e["phase"] == "begin"]
     assert [(e["mounting"], e["replicate"]) for e in begins] == [
         ("a", 1), ("a", 2), ("b", 3), ("b", 4)
+    ]  # fmt: skip
+
+
+def trials_of(plan: Plan, hung: Callable[[float], float | None]) -> list[tuple[str, int, float]]:
+    """Goes through a method without a bench: (slot, replicate, load) of each trial as measured."""
+    steps, answer, found = plan.steps(), None, []
+    begun: dict[int, Trial] = {}
+    asked = there = 0.0
+    while True:
+        try:
+            step = steps.send(answer)
+        except StopIteration:
+            return found
+        answer = (True, 0.0) if isinstance(step, Settle) else None
+        if isinstance(step, HangLoad):
+            if step.mass_kg != asked:
+                asked, there = step.mass_kg, hung(step.mass_kg) or step.mass_kg
+            answer = there
+        elif isinstance(step, Trial):
+            begun[step.trial] = step
+        elif isinstance(step, (Measure, HeldPart)):
+            trial = begun[step.trial]
+            assert (step.slot, step.replicate) == (trial.slot, trial.replicate)
+            assert step.mass_kg == dict(trial.held)["load_kg"]
+            if (row := (step.slot, step.replicate, step.mass_kg)) not in found:
+                found.append(row)
+
+
+def test_a_trial_has_the_name_of_what_hangs_and_shares_it_with_no_other() -> None:
+    """5 kg hung where 1.154 kg was requested: the trial was a replicate of M1.154."""
+    plan = procedure("isotonic").read("isotonic-weights", load_rig("virtual-weights"))
+    method = dataclasses.replace(plan.method, repeats=2)
+    plan = dataclasses.replace(plan, method=method, masses_kg=(0.5, 1.154, 5.0, 12.5))
+    assert trials_of(plan, lambda kg: None) == [
+        (f"M{kg}", k, kg) for k in (1, 2) for kg in (0.5, 1.154, 5, 12.5)
+    ]
+    wrong = iter([5.0])
+    found = trials_of(plan, lambda kg: next(wrong, None) if kg == 1.154 else None)
+    assert found[:4] == [("M0.5", 1, 0.5), ("M5", 1, 5.0), ("M5", 2, 5.0), ("M12.5", 1, 12.5)]
+    assert found[4:] == [("M0.5", 2, 0.5), ("M1.154", 2, 1.154), ("M5", 3, 5.0), ("M12.5", 2, 12.5)]
+
+
+def test_a_load_that_stays_keeps_its_name_in_the_next_trials() -> None:
+    plan = procedure("creep").read("creep", load_rig("virtual"))
+    method = dataclasses.replace(plan.method, repeats=1)
+    plan = dataclasses.replace(plan, method=method, masses_kg=(1.0,), pressures_kpa=(200.0, 300.0))
+    assert trials_of(plan, lambda kg: 2.5) == [
+        ("2.5 kg, 200 kPa", 1, 2.5), ("2.5 kg, 300 kPa", 1, 2.5)
     ]  # fmt: skip
 
 

@@ -80,10 +80,13 @@ def test_a_wrong_answer_at_a_prompt_is_asked_again_and_keys_work_there(tmp_path:
         tmp_path, ["isotonic", "--rig", "virtual-weights", "--protocol", "isotonic-weights"],
         [
             (">> hang 0.714 kg", "0.714 kilos"),
-            ("is neither Enter nor a number in kg. Again: hang", "0,714"),
+            (">> '0.714 kilos' is neither Enter nor a number in kg. Your answer:", "p"),
+            ("paused (p goes on); the open request stays", "p"),
+            ("the test goes on; the open request stays", "0,714"),
             (">> set the catch", "q"),
         ],
     )  # fmt: skip
     run = the_run(tmp_path)
+    assert shown.count("hang 0.714 kg") == 1
     assert run.outcome == "stopped", shown
     assert events(run, "load")[0]["mass_kg"] == 0.714

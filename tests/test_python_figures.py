@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -89,3 +91,19 @@ def test_a_stream_as_xarray_has_units(folder: Path) -> None:
     assert data["pressure_kpa"].attrs["units"] == "kPa"
     assert data.attrs["run_id"] == run.run.run_id
     assert np.array_equal(data["pressure_kpa"].values, run.samples["pressure_kpa"])
+
+
+def test_figures_need_no_import_of_their_own() -> None:
+    """`import pamrig; pamrig.figures.force(...)` was an AttributeError in a fresh notebook."""
+    code = "import pamrig; print(pamrig.figures.force.__name__); pamrig.nothing"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout == "force\n"
+    assert done.stderr.endswith("AttributeError: module 'pamrig' has no attribute 'nothing'\n")
+
+
+def test_xarray_that_is_not_installed_is_named_with_its_extra(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(ModuleNotFoundError, match=r"pip install 'pamrig\[xarray\]'"):
+        pamrig.open_run("last", folder).xarray()

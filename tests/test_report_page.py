@@ -19,9 +19,10 @@ from typer.testing import CliRunner
 from analysis.formats.importer import import_thesis
 from analysis.registry import analysis_of
 from analysis.reporting.figure_files import run_figures, write_figures
+from analysis.reporting.page_one import result_table
 from analysis.reporting.pdf import page_to_pdf
 from analysis.reporting.report import render_report, report_json, write_report
-from analysis.reporting.results import chosen, judge, results_of, rounded
+from analysis.reporting.results import Result, chosen, judge, results_of, rounded
 from analysis.run_table import reduce_run
 from analysis.statistics.repeats import RepeatMean
 from analysis_bench import write_run
@@ -285,3 +286,38 @@ def test_words_on_page_one_wrap_and_dates_do_not(page: str) -> None:
     dates = re.findall(r'<td class="([^"]*)">(?:\d{4}-\d\d-\d\d|no date stated)</td>', instruments)
     assert dates
     assert set(dates) == {"text whole"}
+
+
+def test_single_values_of_a_source_have_the_decimals_that_it_printed(tmp_path: Path) -> None:
+    """37.100 N stands under 6.507 N, and 58.00 mm under 51.45 mm."""
+    text = render_report(open_run(import_thesis("c01", tmp_path, VirtualClock())))
+    for part in text.split("<tbody>")[2:4]:  # on page one, and all under Details
+        rows = re.findall(r"<tr>(.*?)</tr>", part.partition("</tbody>")[0])
+        cells = [re.findall(r"<td[^>]*>([^<]*)</td>", row) for row in rows]
+        assert len(cells) >= 5
+        for column, decimals in ((0, 2), (2, 3)):
+            assert {len(row[column].partition(".")[2]) for row in cells} == {decimals}
+
+
+def test_settings_have_four_digits_unless_they_would_become_equal() -> None:
+    mean = RepeatMean(1.0, math.nan, 1, 0.05, 3.0, 2.0, 0.1)
+    for masses, shown in (
+        ((0.509858, 1.019716), ["0.5099", "1.0197"]),
+        ((1.00001, 1.00002), ["1.00001", "1.00002"]),
+    ):
+        results = [Result("length_mm", (("mass_kg", one),), mean, 1) for one in masses]
+        assert [row["settings"][0] for row in result_table(results)["rows"]] == shown
+
+
+def test_facts_wrap_on_a_narrow_screen(page: str) -> None:
+    """A long name of a run or of a rig does not make the page wider than a telephone."""
+    facts = page.partition('<table class="facts">')[2].partition("</table>")[0]
+    assert set(re.findall(r'<td class="(\w+)', facts)) == {"text"}
+    assert "table.facts td.text { overflow-wrap: anywhere; min-width: 0; }" in page
+
+
+def test_a_long_name_of_a_certificate_wraps_and_a_short_one_does_not(page: str) -> None:
+    found = re.findall(r'<td class="text( whole)?">(P-[^<]*|F-[^<]*|L-[^<]*)</td>', page)
+    assert found
+    for whole, name in found:
+        assert bool(whole) == (len(name) < 15)

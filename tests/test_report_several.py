@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from analysis.figures.comparison import chart_figure
 from analysis.reporting.figure_files import comparison_figures
 from analysis.reporting.several import compare_runs, comparison_json, render_comparison
 from analysis.run_table import reduce_run
+from analysis.statistics.control_chart import control_chart
 from analysis_bench import write_run
 from cli.main import app
 from daq.errors import ConfigError
@@ -159,3 +161,15 @@ def test_bad_options_are_one_line(folders: list[Path], options: tuple[str, ...],
 def test_options_of_several_runs_need_several(folders: list[Path]) -> None:
     done = pamrig("report", folders[0], "--base", "3")
     assert "--base: is for a report over several runs" in str(done.exception)
+
+
+@pytest.mark.parametrize("values", [[13.85] * 3, [13.85, 13.86, 13.84]])
+def test_names_of_limits_do_not_overlap(values: list[float]) -> None:
+    u = np.full(3, 0.5)  # bars that are much larger than the distance of the limits
+    figure = chart_figure(control_chart(values), ["1", "2", "3"], u, "force (N)")
+    figure.canvas.draw()
+    for axes in figure.axes:
+        boxes = [text.get_window_extent() for text in axes.texts]
+        assert boxes
+        for k, box in enumerate(boxes):
+            assert not any(box.overlaps(other) for other in boxes[k + 1 :])

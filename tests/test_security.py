@@ -811,7 +811,7 @@ def test_an_error_brings_no_control_characters_to_the_terminal(
     def fails(**_: Any) -> None:
         raise ConfigError("a\x1b]0;title\x07.toml", "\x9b2J is no n\u00e4me\nline\u202e", "\r\x7f")
 
-    monkeypatch.setattr("cli.main.app", fails)
+    monkeypatch.setattr("cli.main.command_line", lambda: fails)
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -175,3 +176,15 @@ def test_other_rules_of_decision() -> None:
     assert overall([UNDECIDED, FAIL, NOT_MEASURED]) == FAIL
     assert overall([PASS, NOT_MEASURED]) == NOT_MEASURED
     assert overall([]) == ""
+
+
+@pytest.mark.parametrize("value", [13.854321, 0.0, -0.1])
+def test_equal_values_break_no_rule(value: float) -> None:
+    """Runs of the virtual bench may be equal to the bit; the mean of three is not always."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        chart = control_chart([value] * 12)
+    assert chart.in_control
+    assert chart.sd == 0.0
+    later = control_chart([value] * 12 + [value + 1.0], base=12)
+    assert later.alarms["beyond"] == (12,)

@@ -17,6 +17,7 @@ from analysis.figures.drawing import (
     marker,
     new_figure,
     sequence,
+    spread,
     style,
 )
 from analysis.statistics.control_chart import D2
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 ALARM = "#D55E00"  # Okabe and Ito
 LEGEND_MOST = 12
 LABELS_MOST = 12
+LABEL_PART = 0.09
+"""Height of a name at a line, as a part of the axis."""
 
 
 def overlay_figure(data: Mapping[str, Any]) -> Figure:
@@ -128,16 +131,28 @@ def chart_figure(
         bottom.set_xticks(places[::every], [labels[i] for i in places[::every]], fontsize=7.5)
         bottom.set_xlabel("run and its date")
         top.margins(x=0.06)
+        _name_limits(top, chart.centre, chart.lower, chart.upper)
+        _name_limits(bottom, D2 * chart.sd, math.nan, chart.range_limit)
         figure.align_ylabels([top, bottom])
     return figure
 
 
 def _limits(axes: Axes, centre: float, lower: float, upper: float) -> None:
+    """Lines of the centre and of the limits that there are."""
     axes.axhline(centre, color=INK, linewidth=0.9)
-    for value, name in ((centre, "centre"), (lower, "lower limit"), (upper, "upper limit")):
-        if not math.isfinite(value):
-            continue
-        if value != centre:
+    for value in (lower, upper):
+        if math.isfinite(value) and value != centre:
             axes.axhline(value, color=ALARM, linewidth=0.9, linestyle="--")
-        axes.annotate(name, xy=(1.005, value), xycoords=("axes fraction", "data"), fontsize=7.5,
+
+
+def _name_limits(axes: Axes, centre: float, lower: float, upper: float) -> None:
+    """Names at the right ends of these lines, apart from each other; one name for equal ones."""
+    named = [(lower, "lower limit"), (centre, "centre"), (upper, "upper limit")]
+    known = [(value, name) for value, name in named if math.isfinite(value)]
+    if len({value for value, _ in known}) == 1:
+        known = [(centre, "centre and limits" if len(known) > 2 else "centre and limit")]
+    low, high = axes.get_ylim()
+    gap = (high - low) * LABEL_PART
+    for (_, name), place in zip(known, spread([v for v, _ in known], gap), strict=True):
+        axes.annotate(name, xy=(1.005, place), xycoords=("axes fraction", "data"), fontsize=7.5,
                       va="center", color=INK, annotation_clip=False)  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 _OUTCOMES = {
@@ -32,15 +33,18 @@ def signed(value: float | None, digits: int | str) -> str:
     return f"{'−' if value < 0 else '+'} {abs(value):{form}}"
 
 
-def with_u(value: float | None, u: float | None) -> str:
+def with_u(value: float | None, u: float | None, decimals: int | None = None) -> str:
     """A value with its expanded uncertainty (k = 2).
 
     Both are rounded to two significant digits of the uncertainty (GUM, 7.2.6). Without one the
-    value has four significant digits; a whole number stays whole.
+    value has ``decimals``, those of its column; if these are None, it has four significant digits,
+    and a whole number stays whole.
     """
     if value is None:
         return "–"
     if u is None or not math.isfinite(u) or u <= 0.0:
+        if decimals is not None:
+            return fixed(value, decimals)
         return fixed(value, 0) if float(value).is_integer() else significant(value)
     expanded = 2.0 * u
     decimals = decimals_of(expanded)
@@ -62,12 +66,55 @@ def significant(value: float, digits: int = 4) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
+def column_decimals(values: Iterable[float | None]) -> int | None:
+    """The decimals of every number of a column without uncertainties.
+
+    They are those of its finest number with four significant digits, but not more than give the
+    largest one five. None where a small number would then be lost: each has its own decimals.
+    """
+    sizes = [abs(v) for v in values if v is not None and math.isfinite(v)]
+    if all(size.is_integer() for size in sizes):
+        return 0
+    most = decimals_of(max(sizes), 4) + 1
+    decimals = max(min(most, max(written_decimals(float(significant(v))) for v in sizes)), 0)
+    lost = any(0.0 < size < 0.5 * 10.0**-decimals for size in sizes)
+    return None if lost else decimals
+
+
+def written_decimals(value: float) -> int:
+    """Decimals of the shortest text that stands for a number: 2 of 6.50, 3 of 6.507."""
+    text = f"{value:.{MOST_DECIMALS}f}".rstrip("0")
+    return len(text) - text.index(".") - 1
+
+
+def r2_text(r2: float) -> str:
+    """A coefficient of determination: never "1", which only a fit without residuals has."""
+    return "> 0.9999" if r2 >= 0.99995 else fixed(r2, 4)
+
+
+def p_text(p: float) -> str:
+    """A probability of no effect: three decimals, and never "0.000"."""
+    return "< 0.001" if p < 0.0005 else fixed(p, 3)
+
+
+def percent_r2(r2: float) -> str:
+    """The same in percent, as regression programs print it: "99.7 %"."""
+    return "> 99.9 %" if r2 >= 0.9995 else f"{100.0 * r2:.1f} %"
+
+
 def fixed(value: float | None, decimals: int) -> str:
     """A number with this many decimals; −1 rounds to tens. Zero has no sign."""
     if value is None:
         return "–"
     rounded = round(value, decimals) if decimals < 0 else value
     return f"{rounded:z.{max(decimals, 0)}f}".replace("-", "−")
+
+
+def ratio_unit(unit: str, raw_unit: str) -> str:
+    """The unit of a scale: "kPa/count"; "m/s per V"; none where a reading has the unit already."""
+    if unit == raw_unit:
+        return ""
+    return f"{unit} per {raw_unit}" if "/" in unit + raw_unit else f"{unit}/{raw_unit}"
 
 
 def value_cell(value: Any) -> str:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.figures.wording import decimals_of, fixed, p_text, percent_r2, with_u
 from analysis.findings.findings import (
     EXPANDED,
     NO_POINT,
@@ -256,15 +257,15 @@ def _headline(fanning: Line | None, iso: IsoFit | None, points: int) -> str:
         return NO_POINT
     if iso is not None:
         return (
-            f"Flow of the valve by ISO 6358: C = {iso.conductance * 1e9:.3f} ±"
-            f" {2e9 * iso.u_conductance:.3f} · 10⁻⁹ m³/(s Pa), critical pressure ratio"
-            f" {iso.critical:.3f} ± {2 * iso.u_critical:.3f} (k = 2)."
+            "Flow of the valve by ISO 6358: C ="
+            f" {with_u(1e9 * iso.conductance, 1e9 * iso.u_conductance)} · 10⁻⁹ m³/(s Pa), critical"
+            f" pressure ratio {with_u(iso.critical, iso.u_critical)} (k = 2)."
         )
     if fanning is None:
         return f"{points} points were measured, too few for a fit."
     return (
         f"Pressure = {fanning.intercept:.2f} + {fanning.slope:.4f} V² (kPa, m/s) through"
-        f" {fanning.n} points, R² {100 * fanning.r2:.1f} %."
+        f" {fanning.n} points, R² {percent_r2(fanning.r2)}."
     ).replace("= -", "= −")
 
 
@@ -281,11 +282,13 @@ def _fanning_section(run: Run, line: Line) -> Section:
     )
     words = [
         "Pressure = a + b V² by least squares, the Fanning form:"
-        f" s = {line.s:.2f} kPa, R² = {100 * line.r2:.1f} %, adjusted"
-        f" {100 * line.r2_adjusted:.1f} %."
+        f" s = {line.s:.2f} kPa, R² {percent_r2(line.r2)}, adjusted"
+        f" {percent_r2(line.r2_adjusted)}."
     ]
+    own = source_table(run) is None  # a table of the thesis is shown with the digits printed in it
     columns = [
-        ("predictor", "predictor"), ("coef", "coefficient"), ("stdev", "standard error"),
+        ("predictor", "predictor"), ("estimate" if own else "coef", "coefficient"),
+        ("error" if own else "stdev", "standard error"),
         ("t", "t"), ("p_words", "p value"),
     ]  # fmt: skip
     if source_table(run) == "D-5":
@@ -294,7 +297,10 @@ def _fanning_section(run: Run, line: Line) -> Section:
             ("coef_printed", "printed coefficient"), ("stdev_printed", "printed error"),
             ("t_printed", "printed t"), ("p_printed", "printed p"), ("same", "same"),
         ]  # fmt: skip
-    frame["p_words"] = ["< 0.001" if p < 0.0005 else f"{p:.3f}" for p in frame["p"]]
+    digits = [decimals_of(u) if u > 0.0 else 4 for u in frame["stdev"]]
+    for name, column in (("estimate", "coef"), ("error", "stdev")):
+        frame[name] = [fixed(v, d) for v, d in zip(frame[column], digits, strict=True)]
+    frame["p_words"] = [p_text(p) for p in frame["p"]]
     return Section("Fanning form", tuple(words), frame.round(DIGITS),
                    tuple(columns))  # fmt: skip
 
@@ -342,11 +348,11 @@ def _iso_section(iso: IsoFit, fanning: Line | None, table: pd.DataFrame) -> Sect
         {"source": "combined", "c": 100 * iso.u_conductance / iso.conductance, "r": iso.u_critical}
     )
     frame = pd.DataFrame(rows)
-    frame["c"], frame["r"] = frame["c"].round(3), frame["r"].round(4)
+    frame["c"], frame["r"] = frame["c"].round(2), frame["r"].round(4)
     words = [
-        f"C = {iso.conductance * 1e9:.4f} · 10⁻⁹ m³/(s Pa), critical pressure ratio"
-        f" {iso.critical:.4f}, scatter {iso.scatter:.2f} m/s. The table has the standard"
-        " uncertainty from each source."
+        f"C = {with_u(1e9 * iso.conductance, 1e9 * iso.u_conductance)} · 10⁻⁹ m³/(s Pa), critical"
+        f" pressure ratio {with_u(iso.critical, iso.u_critical)} (k = 2), scatter"
+        f" {iso.scatter:.2f} m/s. The table has the standard uncertainty from each source."
     ]
     if fanning is not None:
         words.append(
@@ -356,7 +362,7 @@ def _iso_section(iso: IsoFit, fanning: Line | None, table: pd.DataFrame) -> Sect
         )
     return Section(
         "ISO 6358", tuple(words), frame,
-        (("source", "source"), ("c", "of C, %"), ("r", "of the ratio")),
+        (("source", "source"), ("c", "u of C, %"), ("r", "u of the critical ratio")),
     )  # fmt: skip
 
 

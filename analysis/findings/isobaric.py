@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.figures.wording import signed
+from analysis.figures.wording import signed, with_u
 from analysis.findings.findings import (
     BARS,
     EXPANDED,
@@ -102,7 +103,8 @@ def isobaric_findings(run: Run, reduction: Reduction) -> Findings:
             data["loops"] = lost
     if source_table(run) == "C-2":
         sections.append(_compare_c37(lines))
-    return Findings(_headline(table, inside, gradient), tuple(sections), data)
+    u = {row["pressure_kpa"]: row["u_gradient"] for row in rows}
+    return Findings(_headline(table, inside, gradient, u), tuple(sections), data)
 
 
 def lines_in_length(table: pd.DataFrame) -> PressureLines:
@@ -120,7 +122,9 @@ def _by_pressure(table: pd.DataFrame) -> list[tuple[float, pd.DataFrame]]:
     return [(float(str(p)), rows) for p, rows in cold.groupby(nominal_kpa(cold), sort=True)]
 
 
-def _headline(table: pd.DataFrame, inside: PressureLines, gradient: Line | None) -> str:
+def _headline(
+    table: pd.DataFrame, inside: PressureLines, gradient: Line | None, u: Mapping[float, float]
+) -> str:
     if not len(table):
         return NO_SETTLED_POINT
     if not inside:
@@ -129,11 +133,13 @@ def _headline(table: pd.DataFrame, inside: PressureLines, gradient: Line | None)
             f" {REGION_KPA[1]:g} kPa for a straight line in length."
         )
     slopes = sorted(line.slope for _, line in inside)
-    held, rate = f"a constant pressure of {inside[0][0]:g}", f"{slopes[0]:.2f}"
     if len(inside) > 1:
         held = f"constant pressures between {inside[0][0]:g} and {inside[-1][0]:g}"
-        rate += f" to {slopes[-1]:.2f}"
-    text = f"At {held} kPa the force rises by {rate} N per mm of length"
+        rate = f"{slopes[0]:.2f} to {slopes[-1]:.2f} N per mm of length"
+    else:
+        held = f"a constant pressure of {inside[0][0]:g}"
+        rate = f"{with_u(slopes[0], u[inside[0][0]])} N per mm of length (k = 2)"
+    text = f"At {held} kPa the force rises by {rate}"
     if gradient is not None:
         law = f"{gradient.slope:.5f} P {signed(gradient.intercept, 3)}"
         text += f"; this gradient is {law} N/mm, P in kPa"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.figures.wording import signed
+from analysis.figures.wording import signed, with_u
 from analysis.findings.findings import (
     BARS,
     EXPANDED,
@@ -113,7 +113,10 @@ def _headline(lines: list[LengthLine], law: LengthLaw | None, points: int, cover
     lengths = sorted(line.length_mm for line in lines)
     text = f"Between {low:g} and {high:g} kPa the force rises by "
     if len(lines) == 1:
-        return f"{text}{gradients[0]:.3g} N/kPa at a length of {lengths[0]:.2f} mm."
+        u = [lines[0].u_gradient_fit, lines[0].u_gradient_cal]
+        gradient = with_u(gradients[0], math.hypot(*(x for x in u if x == x)))
+        k = " (k = 2)" if "±" in gradient else ""
+        return f"{text}{gradient} N/kPa at a length of {lengths[0]:.2f} mm{k}."
     text += (
         f"{gradients[0]:.3f} to {gradients[-1]:.3f} N/kPa, for lengths from {lengths[0]:.2f} to"
         f" {lengths[-1]:.2f} mm"

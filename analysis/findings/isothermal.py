@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.figures.wording import significant
 from analysis.findings.findings import (
     BARS,
     EXPANDED,
@@ -92,7 +93,7 @@ def isothermal_findings(run: Run, reduction: Reduction) -> Findings:
     ]  # fmt: skip
     filled = [s for s in sections if s.figure or (s.table is not None and len(s.table))]
     return Findings(
-        _headline(reduction.table, growth),
+        isothermal_headline(reduction.table, growth),
         tuple(filled),
         {"lines": lines.to_dict("records"), "growth": growth.to_dict("records")},
     )
@@ -180,15 +181,16 @@ def force_at_pressure(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _headline(table: pd.DataFrame, growth: pd.DataFrame) -> str:
+def isothermal_headline(table: pd.DataFrame, growth: pd.DataFrame) -> str:
+    """What the gradient does with temperature, in one sentence."""
     if not len(table):
         return NO_SETTLED_POINT
     low, high = float(table["temperature_c"].min()), float(table["temperature_c"].max())
     span = f"{low:.1f} to {high:.1f} °C"
     if not len(growth):
         return f"{len(table)} settled points from {span}; too few for lines against temperature."
-    significant = growth[growth["growth"].abs() > 2 * growth["u_growth"]]
-    if not len(significant):
+    changed = growth[growth["growth"].abs() > 2 * growth["u_growth"]]
+    if not len(changed):
         most = float((growth["growth"].abs() + 2 * growth["u_growth"]).max())
         return (
             f"From {span} the gradient of force against pressure does not change by more than its"
@@ -196,8 +198,8 @@ def _headline(table: pd.DataFrame, growth: pd.DataFrame) -> str:
         )
     first, last = float(growth["growth"].min()), float(growth["growth"].max())
     return (
-        f"From {span} the gradient of force against pressure changes by {first:.2g} to"
-        f" {last:.2g} %/K, more than its uncertainty at {len(significant)} of {len(growth)}"
+        f"From {span} the gradient of force against pressure changes by {significant(first, 2)} to"
+        f" {significant(last, 2)} %/K, more than its uncertainty at {len(changed)} of {len(growth)}"
         " lengths."
     )
 

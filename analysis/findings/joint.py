@@ -78,18 +78,19 @@ def _headline(locked: list[LockedCell], free: list[FreeCell]) -> str:
     parts = []
     if free:
         low, high = min(c.angle_deg for c in free), max(c.angle_deg for c in free)
-        parts.append(f"The free joint stood at {fixed(low, 1)} to {fixed(high, 1)} degrees")
+        parts.append(f"The free joint stood at {fixed(low, 1)} to {fixed(high, 1)}°")
     if locked:
         soft = min(locked, key=lambda c: c.stiffness_n_m_rad)
         stiff = max(locked, key=lambda c: c.stiffness_n_m_rad)
         text = f"stiffness {soft.stiffness_n_m_rad:.3f}"
-        if stiff is not soft:
+        if stiff.common_kpa != soft.common_kpa:
             text += (
                 f" (at {soft.common_kpa:g} kPa) to {stiff.stiffness_n_m_rad:.3f} N m/rad"
                 f" (at {stiff.common_kpa:g} kPa)"
             )
         else:
-            text += " N m/rad"
+            most = f" to {stiff.stiffness_n_m_rad:.3f}" if stiff is not soft else ""
+            text += f"{most} N m/rad at {soft.common_kpa:g} kPa"
         parts.append(text)
     text = "; ".join(parts)
     return f"{text[0].upper()}{text[1:]}." if parts else NO_SETTLED_POINT
@@ -211,7 +212,7 @@ def joint_step_findings(run: Run, reduction: Reduction) -> Findings:
         Section(
             "Angle",
             figure=lambda: _answers(run, table),
-            caption="Angle after each step of the differential pressure, first replicate.",
+            caption="Angle after each step of the differential pressure, first repeat.",
         ),
         Section(
             "Pressures",
@@ -225,7 +226,7 @@ def joint_step_findings(run: Run, reduction: Reduction) -> Findings:
     if len(settled):
         text += (
             f"; 10 to 90 % took {settled['rise_s'].median():.2f} s (median), the largest overshoot"
-            f" was {settled['overshoot_deg'].max():.2f} degrees"
+            f" was {settled['overshoot_deg'].max():.1f}°"
         )
     return Findings(text + ".", sections, {"steps": records(table)})
 

@@ -50,7 +50,7 @@ def step_findings(run: Run, reduction: Reduction) -> Findings:
         Section(
             "Responses",
             figure=lambda: _figure(run, table),
-            caption="Measured pressure (1 kHz) of the first replicate; dashed: set-point.",
+            caption="Measured pressure (1 kHz) of the first repeat; dashed: set-point.",
         ),
         Section(
             "Comparison of the schemes",

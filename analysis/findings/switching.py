@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.figures.wording import p_text
 from analysis.findings.findings import (
     NO_POINT,
     VALVE_SETTINGS,
@@ -102,7 +103,7 @@ def _findings(
     if run.manifest.get("imported"):
         first = Section(first.title, figure=first.figure, caption=first.caption)
     sections = (first, _wide(table, unit, title), _line_section(lines, unit), *extra)
-    return Findings(_headline(lines, unit, len(table)), sections, _results(lines, unit))
+    return Findings(_headline(lines, unit, table), sections, _results(lines, unit))
 
 
 def _readings(table: pd.DataFrame, valve: str, edge: str, unit: str) -> pd.DataFrame:
@@ -146,24 +147,26 @@ def _results(lines: EdgeLines, unit: str) -> dict[str, Any]:
     return out
 
 
-def _headline(lines: EdgeLines, unit: str, points: int) -> str:
-    if not points:
+def _headline(lines: EdgeLines, unit: str, table: pd.DataFrame) -> str:
+    if not len(table):
         return NO_POINT
     timed = unit == "ms"
     decimals, shown, verb, at = (1, "ms", "switches", "in") if timed else (2, "V", "turns", "at")
+    reached = [p for each in lines for p in _readings(table, *each, unit)["set_kpa"]]
+    span = (min(reached, default=0.0), max(reached, default=0.0))
     parts = []
     for valve in ("inlet", "outlet"):
         if (valve, "on") in lines and (valve, "off") in lines:
             on, off = (lines[valve, edge].line for edge in ("on", "off"))
-            ends = [f"{line.at(p):.{decimals}f}" for line in (on, off) for p in (0.0, 600.0)]
+            ends = [f"{line.at(p):.{decimals}f}" for line in (on, off) for p in span]
             parts.append(
                 f"the {valve} {verb} on {at} {ends[0]} to {ends[1]} {shown} and off {at}"
                 f" {ends[2]} to {ends[3]} {shown}"
             )
     if not parts:
-        measured = "One point was" if points == 1 else f"{points} points were"
+        measured = "One point was" if len(table) == 1 else f"{len(table)} points were"
         return f"{measured} measured, too few for a line in pressure."
-    return f"From 0 to 600 kPa {'; '.join(parts)} (from the lines)."
+    return f"From {span[0]:g} to {span[1]:g} kPa {'; '.join(parts)} (from the lines)."
 
 
 def _pooled(readings: pd.DataFrame) -> tuple[float, int]:
@@ -219,7 +222,7 @@ def _line_section(lines: EdgeLines, unit: str) -> Section:
             "slope": 1e3 * found.line.slope,
             "u_slope": 1e3 * found.line.u_slope,
             "scatter": round(found.line.s, 3),
-            "p": f"{found.line.p_slope:.2g}",
+            "p": p_text(found.line.p_slope),
         }
         for (valve, edge), found in lines.items()
     ]
@@ -230,7 +233,7 @@ def _line_section(lines: EdgeLines, unit: str) -> Section:
         pd.DataFrame(rows),
         (
             ("edge", "edge"), ("n", "readings"), ("intercept", f"at 0 kPa, {shown}"),
-            ("slope", f"per MPa, {shown}"), ("scatter", f"scatter, {shown}"),
+            ("slope", f"slope, {shown}/MPa"), ("scatter", f"scatter, {shown}"),
             ("p", "p of zero slope"),
         ),
         caption="± expanded uncertainty, k = 2, from the scatter about the line; that at 0 kPa"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from analysis.layouts.layouts import POINTS, isometric_layout
+from analysis.layouts.layouts import POINTS, SET_LENGTH, isometric_layout
 from daq.live.layout import PURPLE, Axis, Channel, Feed, LiveLayout, Panel, PointFeed
 
 TEMPERATURE = "temperature/measured_c"
@@ -44,12 +44,18 @@ def isotonic_layout(
         base,
         title=title,
         columns=(
-            (_with_share(length, 1.7), pressure, valves, states),
+            (_with_share(_not_set(length), 1.7), pressure, valves, states),
             (base.columns[1][0], points, (replace(camera, share=1.2), now), base.columns[1][3]),
         ),
         feeds=tuple(feed for feed in base.feeds if feed.stream != "balance"),
         points=(_length_feed(label),),
     )
+
+
+def _not_set(length: Panel | tuple[Panel, ...]) -> Panel:
+    """The panel of a length that nothing sets: a load hangs."""
+    assert isinstance(length, Panel)
+    return replace(length, channels=tuple(c for c in length.channels if c.path != SET_LENGTH))
 
 
 def hysteresis_layout(

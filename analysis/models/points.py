@@ -30,7 +30,7 @@ def load_points(data: str, runs: Path, warm: bool = False) -> Points:
     Args:
         data: name of the run or table.
         runs: folder of runs.
-        warm: include the columns of a thesis table above 21 degC, which follow a formula.
+        warm: include the columns of a thesis table above 21 °C, which follow a formula.
 
     Raises:
         PamrigError: there is no such run or table, or it has no usable points.

@@ -270,8 +270,12 @@ class PointReducer:
             limit = DISPROPORTION * float(np.median(known))
             for row, u in zip(rows, noise, strict=True):
                 if u > max(limit, row[f"u_{quantity}_cal"]):
-                    place = f"point {row['order']} ({row[quantity]:.4g} ± {u:.2g})"
-                    self._add_defect(f"uncertainty of {quantity} is out of proportion", place)
+                    place = f"point {row['order']} ({row[quantity]:.4g}, u = {u:.2g})"
+                    self._add_defect(
+                        f"standard uncertainty of {quantity} is out of proportion to that of the"
+                        " other points",
+                        place,
+                    )
 
     def _samples(self, stream: str, needed: tuple[str, ...]) -> dict[str, npt.NDArray[Any]]:
         """Columns of a stream. If the stream is lost, they are empty and a note is added."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from analysis.figures.wording import fixed
+from analysis.figures.wording import column_decimals, fixed, written_decimals
 from analysis.reduction.points import length_source, pressure_sensor
 from analysis.reporting.conditions import conditions, instruments
 from analysis.reporting.results import (
@@ -62,12 +62,13 @@ def page_one(
     lines += [_lines(str(data["headline"]), HEADLINE_LONG), 6 * bool(judged)]
     room = ROOM - sum(lines) - min(len(judged), JUDGED_MOST)
     shown = chosen(results, min(max(room, LEAST), MOST))
+    printed = reduction.rounding_only
     return {
         "facts": facts,
         "instruments": used,
-        "results": result_table(shown),
+        "results": result_table(shown, printed),
         "all_results": len(results),
-        "details": result_table(results) if len(shown) < len(results) else None,
+        "details": result_table(results, printed) if len(shown) < len(results) else None,
         "means": means_text(results, bool(reduction.calibrations), bool(reduction.rounding_only)),
         "acceptance": acceptance_table(judged, JUDGED_MOST),
         "all_judged": acceptance_table(judged) if len(judged) > JUDGED_MOST else None,
@@ -103,7 +104,7 @@ def _facts(run: Run, data: Mapping[str, Any]) -> list[tuple[str, str]]:
             ("Operator", str(data["operator"] or "not stated")),
             ("Tested", _date(data["started_utc"]) + took),
             ("Method", method_text(manifest)),
-            ("Conditions", _conditions(run)),
+            ("Conditions", conditions_text(run)),
             ("Rig", " – ".join(filter(None, (rig.get("name"), rig.get("description")))) or "–"),
         ]
     facts.append(("Points", _points(data)))
@@ -160,7 +161,8 @@ def _listed(values: Sequence[float]) -> str:
     return f"{text(min(values))} to {text(max(values))} ({len(values)} values)"
 
 
-def _conditions(run: Run) -> str:
+def conditions_text(run: Run) -> str:
+    """Temperature, gravity and leak of a test in words; a loss is positive."""
     stated = run.manifest.get("conditions") or {}
     words = []
     if stated.get("temperature_c") is not None:
@@ -173,8 +175,8 @@ def _conditions(run: Run) -> str:
     if leaks:
         worst = max(leaks, key=lambda row: abs(row["loss_kpa_s"]))
         words.append(
-            f"leak check {abs(worst['loss_kpa_s']):.3f} kPa/s at {worst['pressure_kpa']:.0f} kPa"
-            f" (limit {worst['limit_kpa_s']:g})"
+            f"loss in the leak check {fixed(worst['loss_kpa_s'], 3)} kPa/s"
+            f" at {worst['pressure_kpa']:.0f} kPa (limit {worst['limit_kpa_s']:g})"
         )
     return "; ".join(words) or "–"
 
@@ -216,15 +218,25 @@ def _calibrated(name: str, identity: str, quantity: str, one: Calibration) -> di
     return {
         "name": name,
         "identity": identity,
-        "quantity": MEASURED.get(quantity, quantity.rpartition("_")[0].replace("_", " ")),
+        "quantity": quantity_words(quantity),
         "calibration": one.id or "no certificate named",
         "date": one.date or "no date stated",
         "u": f"{one.u_offset:.3g} {one.unit}{gain}",
     }
 
 
-def result_table(results: Sequence[Result]) -> dict[str, Any]:
-    """Columns and rows of a table of results; settings that all share are named once."""
+def quantity_words(quantity: str) -> str:
+    """The name of a calibrated column in words: "pressure" of ``pressure_kpa``."""
+    return MEASURED.get(quantity, quantity.rpartition("_")[0].replace("_", " "))
+
+
+def result_table(results: Sequence[Result], printed: Sequence[str] = ()) -> dict[str, Any]:
+    """Columns and rows of a table of results; settings that all share are named once.
+
+    Args:
+        results: its rows.
+        printed: quantities whose values are shown as their source printed them.
+    """
     names = list(dict.fromkeys(name for r in results for name, _ in r.at))
     values = {name: {dict(r.at).get(name) for r in results} for name in names}
     same = [name for name in names if len(values[name]) == 1 and len(results) > 1]
@@ -236,23 +248,48 @@ def result_table(results: Sequence[Result]) -> dict[str, Any]:
     unit = QUANTITIES.get(one, ("", ""))[1] if len(quantities) == 1 else ""
     heads += [("mean", unit), ("standard deviation", unit), ("tests", ""),
               ("expanded uncertainty", unit), ("k", "")]  # fmt: skip
+    decimals = {one: _decimals(results, one, one in printed) for one in quantities}
+    places = {name: _places(values[name]) for name in varied}
     rows = []
     for result in results:
-        at, text = dict(result.at), rounded(result.mean)
+        at, text = dict(result.at), rounded(result.mean, decimals[result.quantity])
         cells = [f"{result.name}, {result.unit}".strip(", ")] if len(quantities) > 1 else []
-        cells += [_short(name, at[name]) if name in at else "–" for name in varied]
+        cells += [_short(name, at[name], places[name]) if name in at else "–" for name in varied]
         rows.append({"settings": cells, "numbers": [text[key] for key in
                      ("mean", "sd", "n", "expanded", "k")]})  # fmt: skip
     title = QUANTITIES.get(one, (one, ""))[0] if len(quantities) == 1 else ""
-    shared = ", ".join(setting_text(name, next(iter(values[name]))) for name in same)  # type: ignore[arg-type]
+    common = [(name, next(iter(values[name]))) for name in same]
+    shared = ", ".join(
+        setting_text(name, value)
+        for name, value in common
+        if value is not None and (name, value) != ("direction", "single")
+    )
     return {"title": title, "shared": shared, "heads": heads, "rows": rows}
 
 
-def _short(name: str, value: float | str) -> str:
+def _decimals(results: Sequence[Result], quantity: str, printed: bool) -> int | None:
+    """Decimals of the single values of a quantity that have no uncertainty."""
+    means = [r.mean for r in results if r.quantity == quantity]
+    single = [m.mean for m in means if m.n == 1 and not m.expanded > 0.0]
+    if printed:
+        return max(map(written_decimals, single), default=0)
+    return column_decimals(single)
+
+
+def _places(values: Iterable[Any]) -> int:
+    """Decimals of the numbers of a column of settings: four significant digits, if they differ."""
+    numbers = {v for v in values if isinstance(v, float)}
+    short = {float(f"{v:.4g}") for v in numbers}
+    if len(short) < len(numbers):
+        short = {float(f"{v:g}") for v in numbers}
+    return max(map(written_decimals, short), default=0)
+
+
+def _short(name: str, value: float | str, decimals: int) -> str:
     """A setting for a column whose heading has its name and unit."""
     if isinstance(value, str):
         return setting_text(name, value) if name == "direction" else value
-    return f"{value:g}".replace("-", "−")
+    return fixed(value, decimals)
 
 
 def means_text(

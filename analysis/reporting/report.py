@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analysis.figures.timeline import timeline_figure
-from analysis.figures.wording import fixed, outcome_sentence, value_cell, with_u
+from analysis.figures.wording import fixed, outcome_sentence, ratio_unit, value_cell, with_u
 from analysis.findings.findings import Findings, Section
 from analysis.reduction.points import Reduction
 from analysis.registry import analysis_of
@@ -18,7 +18,7 @@ from analysis.reporting.conditions import (
     conditions,
     simulated,
 )
-from analysis.reporting.page_one import page_one
+from analysis.reporting.page_one import page_one, quantity_words
 from analysis.reporting.results import acceptance_json, judge, results_of
 from analysis.reporting.sections import figure_parts, section_parts
 from analysis.run_table import contents_of, record_findings, reduce_run
@@ -232,7 +232,9 @@ def environment() -> Any:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(with_u=with_u, cell=value_cell, fixed=fixed)
+    environment.filters.update(
+        with_u=with_u, cell=value_cell, fixed=fixed, quantity=quantity_words, ratio=ratio_unit
+    )
     return environment
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from analysis.figures.wording import decimals_of, fixed, significant
 from analysis.findings.findings import ResultColumns
+from analysis.reduction.muscle.response import GAIN_UNITS
 from analysis.statistics.conformity import NOT_MEASURED, decide, overall
 from analysis.statistics.repeats import RepeatMean, repeat_mean
 
@@ -73,7 +74,9 @@ class Result:
 
     @property
     def unit(self) -> str:
-        """Its unit."""
+        """Its unit; that of a gain by its pair of signals."""
+        if self.quantity == "gain":
+            return GAIN_UNITS.get(str(dict(self.at).get("pair")), "")
         return QUANTITIES.get(self.quantity, ("", ""))[1]
 
     @property
@@ -121,7 +124,7 @@ def setting_text(name: str, value: Setting) -> str:
     prefix = (
         f"{words} " if name in ("cycle_max_kpa", "from_kpa", "common_kpa", "difference_kpa") else ""
     )
-    return f"{prefix}{value:g} {unit}".strip().replace("-", "−")
+    return f"{prefix}{significant(value)} {unit}".strip()
 
 
 def results_of(reduction: Reduction, columns: ResultColumns) -> list[Result]:
@@ -325,24 +328,28 @@ def rule_text(guard: float) -> str:
     )
 
 
-def rounded(mean: RepeatMean) -> dict[str, str]:
+def rounded(mean: RepeatMean, decimals: int | None = None) -> dict[str, str]:
     """Mean, standard deviation and expanded uncertainty as text.
 
     Mean and expanded uncertainty have two significant digits of the latter (GUM, 7.2.6). Without
-    one the mean has those of the standard deviation, and at most four significant digits.
+    one the mean has those of the standard deviation, and at most four significant digits; that of a
+    single test has ``decimals``, those of its column, if they are given.
     """
     known = _positive(mean.expanded)
     four = decimals_of(abs(mean.mean), 4) if mean.mean else 3
     own = decimals_of(mean.sd) if _positive(mean.sd) else four
-    decimals = decimals_of(mean.expanded) if known else min(own, four)
-    text = fixed(mean.mean, decimals) if known or mean.n > 1 else significant(mean.mean)
+    digits = decimals_of(mean.expanded) if known else min(own, four)
+    if known or mean.n > 1:
+        text = fixed(mean.mean, digits)
+    else:
+        text = significant(mean.mean) if decimals is None else fixed(mean.mean, decimals)
     return {
         "mean": text,
-        "sd": fixed(mean.sd, min(own, decimals + 1) if known else own)
+        "sd": fixed(mean.sd, min(own, digits + 1) if known else own)
         if math.isfinite(mean.sd)
         else "–",
         "n": str(mean.n),
-        "expanded": fixed(mean.expanded, decimals) if known else "–",
+        "expanded": fixed(mean.expanded, digits) if known else "–",
         "k": f"{mean.k:.2f}" if known else "–",
     }
 

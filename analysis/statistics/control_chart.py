@@ -12,6 +12,8 @@ D2 = 1.128379167
 """Mean range of two normal values in standard deviations: 2 / sqrt(pi)."""
 D4 = 3.266531919
 """Upper limit of a moving range of two, in mean ranges: 1 + 3 d3 / d2."""
+EXACT = 1e-12
+"""A relative difference below this is the rounding of a sum, as of runs with equal values."""
 ENOUGH = 20
 """Limits from fewer values are provisional."""
 
@@ -80,6 +82,8 @@ def control_chart(
     if stated is None:
         centre = float(x[:used].mean())
         sd = float(ranges[: used - 1].mean()) / D2
+        if sd <= EXACT * abs(centre):
+            centre, sd = float(x[0]), 0.0
         few = f"; provisional: fewer than {ENOUGH}" if used < ENOUGH else ""
         remark = f"limits from {'all' if used == len(x) else 'the first'} {used} values{few}"
     else:
@@ -96,12 +100,10 @@ def _alarms(
     x: npt.NDArray[np.float64], ranges: npt.NDArray[np.float64], centre: float, sd: float,
     limit: float,
 ) -> dict[str, tuple[int, ...]]:  # fmt: skip
-    z = (
-        (x - centre) / sd
-        if sd > 0.0
-        else np.where(x == centre, 0.0, np.sign(x - centre) * math.inf)
-    )
-    step = np.sign(np.diff(x))
+    least = EXACT * abs(centre)
+    off = np.where(np.abs(x - centre) <= least, 0.0, x - centre)
+    z = off / sd if sd > 0.0 else np.where(off > 0.0, math.inf, np.where(off < 0.0, -math.inf, 0.0))
+    step = np.where(ranges <= least, 0.0, np.sign(np.diff(x)))
     found = {
         "beyond": [i for i, v in enumerate(z) if abs(v) > 3.0],
         "side": _runs(np.sign(z), 9),
@@ -112,7 +114,7 @@ def _alarms(
             for side in (1.0, -1.0)
             if side * z[i] > 2.0 and sum(side * z[i - 2 : i + 1] > 2.0) >= 2
         ],
-        "range": [i + 1 for i, r in enumerate(ranges) if r > limit],
+        "range": [i + 1 for i, r in enumerate(ranges) if r > limit + least],
     }
     return {rule: tuple(at) for rule, at in found.items() if at}
 

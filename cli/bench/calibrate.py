@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,7 +17,9 @@ from cli.output import print_json, writing
 from daq.errors import ConfigError
 
 if TYPE_CHECKING:
+    from analysis.regression.calibration_line import Reference
     from daq.calibration import Calibration
+    from daq.interrupt import StopFlag
     from rigs.calibration.run import Calibrated
     from rigs.execution.runner import Watch
 
@@ -72,7 +76,7 @@ def camera(
     if distance_mm is not None:
         bounded("--distance-mm", distance_mm, 0.0, 100_000.0, "mm", above=True)
     if (gauges is None) == (board is None):
-        raise ConfigError("pamrig calibrate camera", "give either --gauges or --board")
+        raise ConfigError("calibrate camera", "needs either --gauges or --board")
     if gauges is not None:
         found = cc.calibrate_from_gauges(
             gauges, identity=identity, distance_mm=distance_mm, u_off_plane_mm=u_off_plane_mm
@@ -174,20 +178,11 @@ def pressure(
     as_json: JsonOption = False,
 ) -> None:
     """Counts to kPa: pressures up and down on the bench, compared with a reference."""
-    from analysis.regression.calibration_line import Reference
-    from daq.interrupt import stop_on_signals
     from rigs.calibration.pressure import calibrate_pressure
     from rigs.rigfile.config import load_rig
 
-    reference = Reference(
-        gauge,
-        _uncertainty(u_each, "--u-each"),
-        _uncertainty(u_zero, "--u-zero"),
-        _uncertainty(u_gain, "--u-gain", relative=True),
-    )
-    _valid_days(valid_days)
-    _check(out, replace)
-    with stop_on_signals() as stop:
+    reference = _reference(gauge, u_each, u_zero, u_gain)
+    with _calibrating(out, replace, valid_days) as stop:
         done = calibrate_pressure(
             load_rig(rig), _numbers(pressures, "--pressures-kpa"), records,
             reference=reference if gauge else None, who=operator, stop=stop, watch=_watch(as_json),
@@ -211,19 +206,11 @@ def force(
     as_json: JsonOption = False,
 ) -> None:
     """Grams (or a load cell's reading) to newtons: dead weights, up and down."""
-    from analysis.regression.calibration_line import Reference
-    from daq.interrupt import stop_on_signals
     from rigs.calibration.force import calibrate_force
     from rigs.rigfile.config import load_rig
 
-    reference = Reference(
-        weights,
-        u_each=_uncertainty(u_each, "--u-each"),
-        u_gain=_uncertainty(u_gain, "--u-gain", relative=True),
-    )
-    _valid_days(valid_days)
-    _check(out, replace)
-    with stop_on_signals() as stop:
+    reference = _reference(weights, u_each, 0.0, u_gain)
+    with _calibrating(out, replace, valid_days) as stop:
         done = calibrate_force(
             load_rig(rig), _numbers(masses, "--masses-kg"), records, weights=reference,
             who=operator, stop=stop, watch=_watch(as_json),
@@ -258,20 +245,12 @@ def length(
     as_json: JsonOption = False,
 ) -> None:
     """Reading of a laser, gauge, LVDT or encoder to mm: gauge blocks or the stage, up and down."""
-    from analysis.regression.calibration_line import Reference
-    from daq.interrupt import stop_on_signals
     from rigs.calibration.length import calibrate_length
     from rigs.rigfile.config import load_rig
 
-    reference = Reference(
-        blocks or ("stage" if by_stage else "gauge blocks"),
-        _uncertainty(u_each, "--u-each"),
-        _uncertainty(u_zero, "--u-zero"),
-        _uncertainty(u_gain, "--u-gain", relative=True),
-    )
-    _valid_days(valid_days)
-    _check(out, replace)
-    with stop_on_signals() as stop:
+    name = blocks or ("stage" if by_stage else "gauge blocks")
+    reference = _reference(name, u_each, u_zero, u_gain)
+    with _calibrating(out, replace, valid_days) as stop:
         done = calibrate_length(
             load_rig(rig), _numbers(lengths, "--lengths-mm"), records, blocks=reference,
             instrument=instrument, by_stage=by_stage, who=operator, stop=stop,
@@ -294,16 +273,13 @@ def regulator(
     as_json: JsonOption = False,
 ) -> None:
     """Dynamics of a proportional regulator: steps, small steps and a ramp on the bench."""
-    from daq.interrupt import stop_on_signals
     from rigs.calibration.regulator import calibrate_regulator, summary
     from rigs.rigfile.config import load_rig
     from rigs.rigfile.tables.regulator import write_dynamics
 
     bounded("--repeats", repeats, 2, 100, "")
     bounded("--increment-kpa", increment_kpa, 0.01, 50.0, "kPa")
-    _valid_days(valid_days)
-    _check(out, replace)
-    with stop_on_signals() as stop:
+    with _calibrating(out, replace, valid_days) as stop:
         done = calibrate_regulator(
             load_rig(rig), records, repeats=repeats, increment_kpa=increment_kpa,
             who=operator, stop=stop, watch=_watch(as_json),
@@ -348,6 +324,18 @@ def _numbers(text: str, key: str) -> list[float]:
         ) from None
 
 
+def _reference(name: str, u_each: float, u_zero: float, u_gain: float) -> Reference:
+    """What a sensor is compared with; the uncertainties are checked."""
+    from analysis.regression.calibration_line import Reference
+
+    return Reference(
+        name,
+        _uncertainty(u_each, "--u-each"),
+        _uncertainty(u_zero, "--u-zero"),
+        _uncertainty(u_gain, "--u-gain", relative=True),
+    )
+
+
 def _uncertainty(value: float, key: str, relative: bool = False) -> float:
     """Check a standard uncertainty from the command line."""
     if not 0.0 <= value < (1.0 if relative else math.inf):
@@ -359,12 +347,21 @@ def _uncertainty(value: float, key: str, relative: bool = False) -> float:
     return value
 
 
-def _check(out: Path, replace: bool) -> None:
-    """Check that the file can be written, before an hour of measurement depends on it."""
+@contextmanager
+def _calibrating(out: Path, replace: bool, valid_days: int) -> Iterator[StopFlag]:
+    """A calibration, which Ctrl-C ends in good order; gives the flag that it watches.
+
+    That the file can be written is checked before an hour of measurement depends on it.
+    """
+    from daq.interrupt import stop_on_signals
+
+    _valid_days(valid_days)
     if out.exists() and not replace:
         raise ConfigError(str(out), "exists already", "choose another --out, or add --replace")
     if not out.absolute().parent.is_dir():
         raise ConfigError(str(out), "its folder does not exist", "create it first")
+    with stop_on_signals() as stop:
+        yield stop
 
 
 def _watch(as_json: bool) -> Watch:

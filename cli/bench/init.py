@@ -84,7 +84,9 @@ def rig(
         typer.echo(f"\nwritten: {file}")
         if doctor:
             print_findings(findings)
-        typer.echo(f"next: complete its comments, then pamrig doctor --rig {file}")
+        typer.echo(
+            f"next: enter what the comments in {file} ask for, then pamrig doctor --rig {file}"
+        )
     raise typer.Exit(2 if any(f.status == "stop" for f in findings) else 0)
 
 

@@ -264,7 +264,7 @@ def _print_preset(preset: str, as_json: bool) -> None:
         emit([dataclasses.asdict(cell) for cell in cells])
         return
     typer.echo("standard deviation of real less model in N; recomputed on C-1 at 51.45 mm")
-    typer.echo(f"{'model':16}{'kPa':>9}{'degC':>7}{'Table 4-3':>11}{'C-39..44':>10}"
+    typer.echo(f"{'model':16}{'kPa':>9}{'°C':>7}{'Table 4-3':>11}{'C-39..44':>10}"
                f"{'by SEMEAN':>11}{'recomputed':>12}{'on C-2':>8}{'mean':>8}")  # fmt: skip
     for c in cells:
         typer.echo(

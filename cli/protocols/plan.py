@@ -277,7 +277,7 @@ def plan_command(path: Path, again: bool, as_json: bool) -> int:
     def started(runner: Any, record: Any) -> None:
         if not as_json:
             n = len(progress(plan).done) + 1
-            typer.echo(f"test {n} of {len(plan.items)}: {record.folder.name}", err=True)
+            line.log(f"test {n} of {len(plan.items)}: {record.folder.name}")
         line.start(runner, record)
 
     failed = ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from typing import TYPE_CHECKING, Any
@@ -15,31 +16,38 @@ if TYPE_CHECKING:
     from rigs.execution.session import Result
 
 REDRAW_S = 0.1
+LINE_S = 10.0
+"""Without a terminal, lines of progress are at least this far apart ..."""
+LINE_SHARE = 0.05
+"""... and by this share of the time since the start: a test of days does not fill a log file."""
 
 
 class ProgressLine:
-    """One line on the terminal: state, points done, time left. `quiet` prints nothing."""
+    """Progress of a test: state, points done, time left. `quiet` prints nothing.
+
+    On a terminal it is one line that is drawn again and again. In a file, a pipe or a notebook it
+    is a new line now and then, without carriage returns.
+    """
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet
         self._tty = sys.stderr.isatty()
         self._runner: Runner | None = None
         self._start = 0.0
-        self._last = 0.0
+        self._last = -math.inf
         self._width = 0
 
     def watch(self) -> Watch:
         """Callbacks for the runner."""
         from rigs.execution.runner import Watch
 
-        return Watch(
-            state=self.state, point=lambda *_: self.redraw(), log=lambda t: typer.echo(t, err=True)
-        )
+        return Watch(state=self.redraw, point=lambda *_: self.redraw(), log=self.log)
 
     def start(self, runner: Runner, record: Any) -> None:
         """The run begins."""
         self._runner = runner
         self._start = time.monotonic()
+        self._last = -math.inf
         if not self._quiet:
             from rigs.devices.operator import at_a_terminal
             from rigs.execution.control import KEYS
@@ -48,19 +56,22 @@ class ProgressLine:
             if at_a_terminal():
                 typer.echo(f"keys, then Enter: {KEYS}", err=True)
 
-    def state(self, text: str) -> None:
-        """Show a new phase; without a terminal to redraw, print a line."""
-        if not self._quiet and not self._tty:
-            typer.echo(f"  {text}{self._left()}", err=True)
-        self.redraw(text)
+    def log(self, text: str) -> None:
+        """Print a message on a line of its own."""
+        self.close()
+        typer.echo(text, err=True)
 
     def redraw(self, text: str = "") -> None:
-        """Redraw the line, at most every `REDRAW_S` seconds."""
+        """Show a new state, or the same one again, unless that was done a moment ago."""
         now = time.monotonic()
-        if self._quiet or not self._tty or self._runner is None or now - self._last < REDRAW_S:
+        apart_s = REDRAW_S if self._tty else max(LINE_S, LINE_SHARE * (now - self._start))
+        if self._quiet or self._runner is None or now - self._last < apart_s:
             return
         self._last = now
         line = f"{text or self._runner.progress.state}{self._left()}"
+        if not self._tty:
+            typer.echo(f"  {line}", err=True)
+            return
         typer.echo("\r" + line.ljust(self._width), nl=False, err=True)
         self._width = len(line)
 
@@ -79,9 +90,10 @@ class ProgressLine:
         return text
 
     def close(self) -> None:
-        """End the line."""
+        """End the line that is being drawn."""
         if self._width:
             typer.echo("", err=True)
+        self._width = 0
 
 
 def exit_status(result: Result) -> int:

@@ -10,9 +10,13 @@ from daq.live.layout import LiveLayout, Panel
 
 TIMELINE = "time"
 BACKGROUND = (18, 20, 22)
+LEGEND = 0.35
+"""Room for the legend before the oldest data, as a part of the time that is shown."""
 
 
-def blueprint(layout: LiveLayout, *, extra: bool, whole_s: float | None = None) -> Any:
+def blueprint(
+    layout: LiveLayout, *, extra: bool, whole_s: float | None = None, until_s: float | None = None
+) -> Any:
     """The arrangement of views as a ``rerun.blueprint.Blueprint``.
 
     Args:
@@ -20,10 +24,12 @@ def blueprint(layout: LiveLayout, *, extra: bool, whole_s: float | None = None) 
         extra: add a panel for series that belong to no panel.
         whole_s: show the time from 0 to ``whole_s``; None shows the newest data in the layout's
             window.
+        until_s: the time axis of a live view goes from 0 to this time; None: it moves with the
+            newest data.
     """
     import rerun.blueprint as rrb
 
-    span = _Span(layout.window_s, whole_s)
+    span = _Span(layout.window_s, whole_s, until_s)
     columns = []
     for number, column in enumerate(layout.columns):
         rows, shares = [], []
@@ -66,6 +72,7 @@ class _Span:
 
     window_s: float
     whole_s: float | None
+    until_s: float | None
 
     def ranges(self) -> Any:
         """The range of data to show."""
@@ -78,15 +85,18 @@ class _Span:
         return [rrb.VisibleTimeRange(TIMELINE, start=start, end=end)]
 
     def axis(self) -> Any:
-        """The range of the time axis; None adapts it to the data."""
-        if self.whole_s is None:
-            return None
+        """The range of the time axis: that of the data, and before it room for the legend."""
         import rerun as rr
         import rerun.blueprint as rrb
 
-        edge = rrb.TimeRangeBoundary.absolute
-        whole = rr.TimeRange(start=edge(seconds=0.0), end=edge(seconds=self.whole_s))
-        return rrb.TimeAxis(view_range=whole)
+        edge = rrb.TimeRangeBoundary
+        fixed_s = self.until_s if self.whole_s is None else self.whole_s
+        if fixed_s is None:
+            start = edge.cursor_relative(seconds=-(1.0 + LEGEND) * self.window_s)
+            end = edge.cursor_relative()
+        else:
+            start, end = edge.absolute(seconds=-LEGEND * fixed_s), edge.absolute(seconds=fixed_s)
+        return rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end))
 
 
 def _view(panel: Panel, span: _Span) -> Any:

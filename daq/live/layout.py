@@ -6,6 +6,7 @@ the same description, so both look alike.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -28,6 +29,8 @@ PALETTE: tuple[Colour, ...] = (
 SKY, ORANGE, GREEN, YELLOW, PURPLE, VERMILLION, GREY, BLUE = PALETTE
 
 _KINDS = get_args(Kind)
+FINEST = 2500
+"""A table of results shows this part of an axis."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +99,15 @@ class Axis:
     def quantity(self, value: float) -> float:
         """The quantity that a value of a point stands for."""
         return 10.0**value if self.log10 else value
+
+    def text(self, value: float) -> str:
+        """The quantity as text: to about 1/2500 of the axis; three digits on a logarithmic one."""
+        quantity = self.quantity(value)
+        if self.log10:
+            decimals = max(2 - math.floor(value + 1e-9), 0)
+            return f"{round(quantity, decimals):.9g}"
+        decimals = max(-math.floor(math.log10((self.high - self.low) / FINEST)), 0)
+        return f"{quantity:z.{decimals}f}".replace("-", "−")
 
 
 @dataclass(frozen=True)

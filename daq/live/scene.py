@@ -39,21 +39,34 @@ GRID_COLOUR = (45, 49, 53)
 TEXT_COLOUR = (215, 215, 215)
 EXTRA_COLOURS = (PURPLE, VERMILLION, SKY, YELLOW, ORANGE, GREEN, BLUE, GREY)
 MOST_STATES = 200  # limit of texts with their own colour per lane
+FIRST_S = 15.0  # end of the time axis when a test begins
 TABLE_ROWS = 9  # the newest results that a table shows
 
 
-def _label_place(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
-    """Above the upper end of a steep line, below the middle of a flat one."""
-    if abs(b[1] - a[1]) > abs(b[0] - a[0]):
-        top = min(a, b, key=lambda end: end[1])
-        return top[0], top[1] - 28.0
-    return (a[0] + b[0]) / 2.0, max(a[1], b[1]) + 6.0
+LABEL_HEIGHT = 56.0  # of a label over a frame, in pixels of the frame
+
+
+def label_places(lines: list[Line]) -> list[tuple[float, float]]:
+    """Of a steep line above its upper end, each lower than the one before; of a flat one below it.
+
+    Two edges may be closer to each other than their labels are wide.
+    """
+    places, steep = [], 0
+    for a, b, _ in lines:
+        if abs(b[1] - a[1]) > abs(b[0] - a[0]):
+            top = min(a, b, key=lambda end: end[1])
+            places.append((top[0], top[1] - 28.0 + steep * LABEL_HEIGHT))
+            steep += 1
+        else:
+            places.append(((a[0] + b[0]) / 2.0, max(a[1], b[1]) + 6.0))
+    return places
 
 
 class Scene:
     """Draws series, points, pictures, states and messages into a ``rerun.RecordingStream``."""
 
-    def __init__(self, rec: Any, layout: LiveLayout) -> None:
+    def __init__(self, rec: Any, layout: LiveLayout, live: bool = False) -> None:
+        """Draw into ``rec``; of a ``live`` test the time axis grows until it is full."""
         import rerun as rr
 
         self._rr, self._rec = rr, rec
@@ -64,6 +77,8 @@ class Scene:
         self._counts: dict[str, int] = {}
         self._charts: dict[str, Chart] = {}
         self._extra = False
+        ends = [end for end in (FIRST_S, layout.window_s) if end <= layout.window_s]
+        self._ends = ends if live else []  # of the time axis, before it moves with the data
         self._state_colours: dict[str, dict[str, Colour]] = {}
         self.newest: dict[str, float] = {}
         self._last_s: dict[str, float] = {}
@@ -74,7 +89,7 @@ class Scene:
 
     def start(self) -> None:
         """Send the blueprint, the style of every known channel and empty charts."""
-        self._rec.send_blueprint(blueprint(self._layout, extra=self._extra))
+        self._arrange()
         for index, (path, channel) in enumerate(self._layout.channels.items()):
             panel = self._layout.panel_of(path)
             if panel is not None and panel.kind == "series":
@@ -131,6 +146,9 @@ class Scene:
         self.newest[path] = float(values[-1])
         self._last_s[path] = float(time_s[-1])
         self.newest_s = max(self.newest_s, float(time_s[-1]))
+        if self._ends and self.newest_s > self._ends[0]:
+            self._ends = [end for end in self._ends if end >= self.newest_s]
+            self._arrange()
 
     def _add_path(self, path: str) -> None:
         self._known.add(path)
@@ -142,7 +160,11 @@ class Scene:
         self._style(channel, free[0])
         if panel is None and not self._extra:
             self._extra = True
-            self._rec.send_blueprint(blueprint(self._layout, extra=self._extra))
+            self._arrange()
+
+    def _arrange(self) -> None:
+        until_s = self._ends[0] if self._ends else None
+        self._rec.send_blueprint(blueprint(self._layout, extra=self._extra, until_s=until_s))
 
     def points(self, path: str, time_s: float, label: str, x: Floats, y: Floats) -> None:
         """Add points to a chart; paths without a points panel are ignored."""
@@ -191,8 +213,7 @@ class Scene:
                 "|--:|:--|--:|--:|",
             ]
             lines += [
-                f"| {count - k} | {label} | {panel.x_axis.quantity(x):#.5g} |"
-                f" {panel.y_axis.quantity(y):#.4g} |"
+                f"| {count - k} | {label} | {panel.x_axis.text(x)} | {panel.y_axis.text(y)} |"
                 for k, (label, x, y) in enumerate(rows[: -TABLE_ROWS // len(charts) - 1 : -1])
             ]
             parts.append("\n".join(lines if rows else [*lines, "| | none yet | | |"]))
@@ -275,7 +296,7 @@ class Scene:
         self._rec.log(
             f"{path}/edges/names",
             rr.Points2D(
-                [_label_place(a, b) for a, b, _ in named],
+                label_places(named),
                 radii=0.1,
                 colors=colours,
                 labels=[text for _, _, text in named],

@@ -52,7 +52,7 @@ class Screen:
         self._bytes = self._rec.binary_stream()
         self._layout = layout
         self._history = history
-        self._scene = Scene(self._rec, layout)
+        self._scene = Scene(self._rec, layout, live=True)
         self._scene.start()
         self._thinners: dict[str, tuple[Thinner, float]] = {}
         self._next_readout = 0.0

@@ -43,6 +43,8 @@ def find_run(root: Path | str, text: str) -> Run:
     if (Path(text) / "run.json").is_file() or Path(text).is_file():
         return open_run(text)
     listed = list_runs(root)
+    if not listed:
+        raise RecordError(text, f"there are no runs in {root}", "choose the folder of your runs")
     runs = [info.run_id for info in listed]
     if text == "last":
         found = ([info.run_id for info in listed if info.origin in TESTS] or runs)[-1:]

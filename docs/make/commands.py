@@ -5,13 +5,10 @@ from __future__ import annotations
 import inspect
 import tomllib
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-from typer.main import get_command
-
-from cli.main import app
+from cli.main import command_line
 from cli.sections import SECTIONS
 from rigs.protocols.names import PROTOCOLS
 
@@ -20,16 +17,10 @@ FIELDS = Path(__file__).with_name("json_fields.toml")
 HEAD = Path(__file__).with_name("commands_head.md")
 
 
-@cache
-def program() -> Any:
-    """The command line as Click has it; made once, since it takes a fifth of a second."""
-    return get_command(app)
-
-
 def page() -> str:
     """The whole page as Markdown."""
     parts = [HEAD.read_text(encoding="utf-8")]
-    root = program()
+    root = command_line()
     for section, names in SECTIONS.items():
         parts.append(f"## {section}\n")
         tests = [name for name in names if name in PROTOCOLS]
@@ -43,7 +34,7 @@ def page() -> str:
 
 def every_command() -> Iterator[tuple[str, Any]]:
     """(words after ``pamrig``, command) of each command that does something."""
-    for name, found in program().commands.items():
+    for name, found in command_line().commands.items():
         yield from _leaves(name, found)
 
 

@@ -123,15 +123,15 @@ def run_campaign(plan: Plan) -> list[dict[str, Any]]:
 
 
 def progress(count: int, of: int, elapsed: float, entry: dict[str, Any]) -> None:
-    """One line on standard error."""
+    """One line on standard error: drawn again on a terminal, else a new one for each set."""
     rest = elapsed / count * (of - count)
     status = entry["verdict"].get("status")
-    print(
-        f"\r{count}/{of} sets, {rest / 60:.0f} min left; last: {entry['number']} {status}        ",
-        end="\n" if count == of else "",
-        file=sys.stderr,
-        flush=True,
-    )
+    line = f"{count}/{of} sets, {rest / 60:.0f} min left; last: {entry['number']} {status}"
+    if not sys.stderr.isatty():
+        print(line, file=sys.stderr, flush=True)
+        return
+    end = "\n" if count == of else ""
+    print(f"\r{line}        ", end=end, file=sys.stderr, flush=True)
 
 
 def outcomes(plan: Plan, tasks: Sequence[Task]) -> Iterator[dict[str, Any]]:

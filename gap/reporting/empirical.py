@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 BLUE, QUIET = "#0072B2", "#8a8a8a"  # Okabe and Ito
 INPUT_TEXT = {
     "pressure_kpa": "pressure, kPa", "length_mm": "length, mm", "velocity_mm_s": "velocity, mm/s",
-    "pressure_rate_kpa_s": "pressure rate, kPa/s", "temperature_c": "temperature, degC",
+    "pressure_rate_kpa_s": "pressure rate, kPa/s", "temperature_c": "temperature, °C",
     "order": "order of the trial", "time_s": "time in the trial, s",
     "since_edge_s": "time since a valve's command, s", "valve": "valve open: outlet -1, inlet 1",
     "slip": "slip since the last turn, -1 to 1",

@@ -122,7 +122,7 @@ def stages(shares: tuple[Share, ...]) -> Figure | None:
         )
         start += value
     axes.set_yticks(range(len(shares)), [share.stage for share in shares])
-    axes.invert_yaxis()
+    axes.set_ylim(len(shares) - 0.4, -0.6)
     axes.axvline(0.0, color=QUIET, lw=0.8)
     axes.set_xlabel("share of the gap, % (bars: 95 % interval)")
     axes.margins(x=0.15)
@@ -218,7 +218,7 @@ def course(field: Field) -> Figure | None:
     axes.axhline(0.0, color=QUIET, lw=0.8)
     axes.set_xlabel("trial, in order of measurement")
     axes.set_ylabel(f"residual, {field.unit}")
-    axes.legend(loc="best", fontsize=8, ncols=2)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8, ncols=2)
     return figure
 
 

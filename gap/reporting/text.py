@@ -156,7 +156,8 @@ def experiment_sentence(experiment: Experiment, named: bool = True) -> str:
     what = experiment.protocol + (f" ({settings})" if settings else "")
     count = f"{experiment.trials} trial{'s' if experiment.trials != 1 else ''} of {what}"
     already = (
-        "These data tell them apart already, as far as the forms of the catalogue go. To be surer: "
+        "These data tell them apart already, as far as the forms of the catalogue go. To be more"
+        " certain: "
         if named and experiment.separation_now >= DESIGN.enough_sd
         else ""
     )
@@ -170,7 +171,7 @@ def experiment_sentence(experiment: Experiment, named: bool = True) -> str:
 
 
 UNITS = ("kpa", "mm_s", "mm", "kg", "s", "c")
-UNIT_TEXT = {"kpa": "kPa", "mm_s": "mm/s", "c": "degC"}
+UNIT_TEXT = {"kpa": "kPa", "mm_s": "mm/s", "c": "°C"}
 
 
 def _setting(key: str, value: object) -> str:

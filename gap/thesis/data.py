@@ -34,7 +34,7 @@ Row = dict[str, Any]
 def thesis_set(name: str, warm: bool = False) -> DataSet:
     """A table as a data set, held against the nominal plant, whose geometry was fitted to C-1.
 
-    `warm` also takes the columns of C-1 above 21 degC, which are a formula and no measurement.
+    `warm` also takes the columns of C-1 above 21 °C, which are a formula and no measurement.
 
     Raises:
         GapError: another table, or warm columns of a table that has none.
@@ -42,12 +42,12 @@ def thesis_set(name: str, warm: bool = False) -> DataSet:
     if name not in TABLES:
         raise GapError(f"thesis table {name!r}", f"is not one of {', '.join(TABLES)}")
     if warm and name != "c01":
-        raise GapError(f"thesis table {name!r}", "has no columns above 21 degC")
+        raise GapError(f"thesis table {name!r}", "has no columns above 21 °C")
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in _rows(name, warm):
         groups.setdefault(_key(name, row), []).append(row)
     trials = tuple(_trial(name, key, rows) for key, rows in groups.items())
-    more = " at 21 to 39 degC" if warm else ""
+    more = " at 21 to 39 °C" if warm else ""
     return DataSet(f"thesis table C-{int(name[1:])}{more}", trials, nominal())
 
 
@@ -92,7 +92,7 @@ def _trial(name: str, key: tuple[Any, ...], rows: list[Row]) -> Trial:
     held, cycle, temperature = key
     setting = f"{held * G_M_S2:.3g} N" if loaded else f"{held:g} mm"
     return Trial(
-        name=f"{setting}, {temperature:g} degC" + (f", to {cycle:g} kPa" if cycle else ""),
+        name=f"{setting}, {temperature:g} °C" + (f", to {cycle:g} kPa" if cycle else ""),
         slot=setting,
         replicate="1",
         protocol=TABLES[name],

@@ -1,6 +1,6 @@
 """What the measured tables of the thesis can say about the plant, and what they cannot.
 
-The isometric table C-1 at 21 degC gives a ladder of effects, whole lengths left out, from the
+The isometric table C-1 at 21 °C gives a ladder of effects, whole lengths left out, from the
 deterministic model. Its warm columns are a formula and C-2 is C-1 plus noise: no evidence of either
 is claimed. C-3, C-4 and C-6 are held against the plant fitted to C-1.
 """
@@ -68,7 +68,7 @@ class TableVerdict:
 
 
 def diagnose_thesis() -> list[TableVerdict]:
-    """Verdicts on C-1 at 21 degC, on its warm columns, and on C-3, C-4 and C-6."""
+    """Verdicts on C-1 at 21 °C, on its warm columns, and on C-3, C-4 and C-6."""
     isometric = thesis_set("c01")
     table = points_of(isometric)
     floor = smoothness(table)
@@ -132,7 +132,7 @@ def _isometric(table: Table, floor: float, steps: list[Step]) -> TableVerdict:
     own = Fit(THESIS_BRAID_MM, THESIS_TURNS, {}, 0.0)
     residual = Ladder(table, nominal(), True, (), floor).residual(table, own)
     return TableVerdict(
-        "C-1 at 21 degC", len(np.unique(table.setting)), len(table.force_n),
+        "C-1 at 21 °C", len(np.unique(table.setting)), len(table.force_n),
         "named_form_inadequate" if kept[-1].rms > 1.1 * floor else "named",
         f"{names} close {100 * closed:.0f} % of the gap above the floor, whole lengths left out; "
         f"{_next_best(steps)}",
@@ -156,9 +156,9 @@ def _warm() -> TableVerdict:
     kept = [step for step in steps if step.kept]
     names = ", ".join(kept[-1].values) or "nothing"
     return TableVerdict(
-        "C-1 at 21 to 39 degC", len(np.unique(table.setting)), len(table.force_n),
+        "C-1 at 21 to 39 °C", len(np.unique(table.setting)), len(table.force_n),
         "below_resolution",
-        "the columns above 21 degC follow from the 21 degC column by a formula, so they hold no "
+        "the columns above 21 °C follow from the 21 °C column by a formula, so they hold no "
         f"evidence; the catalogue's forms ({names}) reproduce that formula to "
         f"{kept[-1].rms:.2f} N, which shows nothing about a muscle",
         None, "a formula has none", tuple(steps), {},

@@ -26,7 +26,7 @@ _DECAYS_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 _DECAYS_KPA = (30.0, 100.0, 300.0)
 _SHORT = {
     "pressure_kpa": ("p", "kPa"), "length_mm": ("L", "mm"), "velocity_mm_s": ("v", "mm/s"),
-    "pressure_rate_kpa_s": ("dp/dt", "kPa/s"), "temperature_c": ("T", "degC"),
+    "pressure_rate_kpa_s": ("dp/dt", "kPa/s"), "temperature_c": ("T", "°C"),
     "order": ("order", ""), "time_s": ("t", "s"), "since_edge_s": ("t_edge", "s"),
     "valve": ("valve", ""), "slip": ("slip", ""),
     "change_1s_kpa": ("p - mean of 1 s", "kPa"), "change_10s_kpa": ("p - mean of 10 s", "kPa"),

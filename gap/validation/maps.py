@@ -19,7 +19,7 @@ from plant.arrays import Array
 Whole = npt.NDArray[np.int64]
 
 MOST_BINS = 12
-AXES = {"pressure": "kPa", "length": "mm", "temperature": "degC", "time": "s"}
+AXES = {"pressure": "kPa", "length": "mm", "temperature": "°C", "time": "s"}
 """What residuals are shown over, with units; time counts from the start of the trial."""
 
 

@@ -85,7 +85,7 @@ def _one_temperature(
     reason += f"; from C-2 off by up to {off[0]:.2g} N/kPa and {off[1]:.2g} N"
     total = 2 * len(printed)
     return Row(
-        f"Table {table} (21 degC)", f"{len(printed)} pairs",
+        f"Table {table} (21 °C)", f"{len(printed)} pairs",
         f"{total - len(slips)} of {total} numbers the same", verdict(not slips, len(slips) <= 5),
         reason, ("A01", "A31") if table == "C-9" else ("A36", "A37", "A38"),
     )  # fmt: skip

@@ -11,7 +11,7 @@ from plant.fitting.tables import full_regression
 from plant.fitting.thesis_points import thesis_points
 
 Ranks = dict[float, dict[str, int]]
-"""Temperature (degC) or pressure (kPa) to the printed rank of each predictor."""
+"""Temperature (°C) or pressure (kPa) to the printed rank of each predictor."""
 
 HIGH = "c09_c15_per_length_coefs_150_600", 9
 LOW = "c26_c32_per_length_coefs_0_125", 26
@@ -21,7 +21,7 @@ COEFFICIENTS = {
     "C-33": (*LOW, "pressure_gradient_coef"),
     "C-34": (*LOW, "intercept_coef"),
 }
-"""For each table: file and number of the table of the coefficients at 21 degC, and their column."""
+"""For each table: file and number of the table of the coefficients at 21 °C, and their column."""
 REMARKS = {
     "C-16": "ranks by R-sq of one predictor each, of the gradients in C-9 to C-15",
     "C-17": "ranks by R-sq of one predictor each, of the intercepts in C-9 to C-15",
@@ -92,7 +92,7 @@ def _coefficients(table: str) -> Row:
         if not is_permutation(ranks):
             broken.append(f"{temperature:g}")
         if places < len(ranks):
-            bad.append(f"{temperature:g} degC: {order}")
+            bad.append(f"{temperature:g} °C: {order}")
     reason = REMARKS[table]
     if bad:
         reason += (
@@ -100,7 +100,7 @@ def _coefficients(table: str) -> Row:
             f" {listing(bad)}"
         )
     if broken:
-        reason += f"; at {', '.join(broken)} degC the printed ranks are not 1 to {len(ranks)}"
+        reason += f"; at {', '.join(broken)} °C the printed ranks are not 1 to {len(ranks)}"
     return Row(
         f"Ranks of Table {table}", f"{len(printed)} rows", f"{good} of {len(printed)} the same",
         verdict(not bad), reason, ANOMALIES[table],

@@ -43,9 +43,9 @@ def full_regression_d1() -> FullRegression:
 def audit() -> list[Row]:
     """Audit of everything except the black boxes."""
     return [
-        _regression("C-8", full_regression_c8(), "C-1 at 21 degC, 0 to 125 kPa, with 51.45 mm",
+        _regression("C-8", full_regression_c8(), "C-1 at 21 °C, 0 to 125 kPa, with 51.45 mm",
                     ("A01", "A65")),
-        _regression("C-9", full_regression_c9(), "C-1 at 21 degC, 150 to 600 kPa", ("A66", "A67")),
+        _regression("C-9", full_regression_c9(), "C-1 at 21 °C, 150 to 600 kPa", ("A66", "A67")),
         _valve(),
         _isometric_hysteresis(),
         _isotonic_hysteresis(),

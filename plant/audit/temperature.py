@@ -125,7 +125,7 @@ def _high_equations() -> list[Row]:
         Row(
             "Equations 4-48, 4-50", "-0.18429, -0.16286", f"{k2:.5f}, {c:.5f}",
             verdict(same("-0.18429", k2) and same("-0.16286", c)),
-            f"means of the columns of Table 4-1; 4-50 needs -0.43 at 21 degC (-0.043 would give "
+            f"means of the columns of Table 4-1; 4-50 needs -0.43 at 21 °C (-0.043 would give "
             f"{with_043:.5f})", ("A44",),
         ),
         Row(
@@ -134,7 +134,7 @@ def _high_equations() -> list[Row]:
             verdict(same("-0.0058", k3[1].coef) and same("-0.3", k3[0].coef),
                     truncated("-0.0058", k3[1].coef) and same("-0.3", k3[0].coef)),
             "truncated or mistyped for -0.0059 and -0.304, an effect of "
-            f"{_eq_4_49_effect():.1f} N at 300 kPa and 21 degC", ("A59",),
+            f"{_eq_4_49_effect():.1f} N at 300 kPa and 21 °C", ("A59",),
         ),
     ]  # fmt: skip
 
@@ -173,7 +173,7 @@ def _table_4_2() -> Row:
     return Row(
         "Table 4-2 = Table C-35", f"{total} values", f"{good + len(cut)} of {total} the same",
         verdict(equal and not bad),
-        f"both tables are {'identical' if equal else 'different'}; from C-26 to C-32, the 21 degC "
+        f"both tables are {'identical' if equal else 'different'}; from C-26 to C-32, the 21 °C "
         "row with the misprints 0.261 and 5.82 of C-26 but with 0.00457"
         + (f"; other: {listing(bad)}" if bad else "")
         + (f"; truncated: {listing(cut)}" if cut else ""),

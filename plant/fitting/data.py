@@ -96,7 +96,7 @@ class Points:
         if kind == "pressure":
             return np.array([f"{x:.0f} kPa" for x in self.pressure_pa / 1e3])
         if kind == "temperature":
-            return np.array([f"{x:.0f} degC" for x in self.temperature_c])
+            return np.array([f"{x:.0f} °C" for x in self.temperature_c])
         if kind == "mounting":
             return np.full(len(self), "m1")
         if kind == "load":

@@ -1,6 +1,6 @@
 """The comparison of the thesis, Table 4-3 and C-39 to C-44, recomputed for each model.
 
-Six sets of points (0-125, 150-600 and 0-600 kPa, at 21 and at 21 to 39 degC) and five models. The
+Six sets of points (0-125, 150-600 and 0-600 kPa, at 21 and at 21 to 39 °C) and five models. The
 captions say isobaric data (C-2); the statistics are those of the isometric table C-1 (A76), which
 is also what most of the models were fitted to. Residuals are real - model, in N.
 """
@@ -30,7 +30,7 @@ PARTS = (
     ("C-43", "150-600", "21-39"),
     ("C-44", "0-600", "21-39"),
 )
-"""Appendix table, pressure region in kPa, temperatures in degC."""
+"""Appendix table, pressure region in kPa, temperatures in °C."""
 MODELS = ("deterministic", "Caldwell", "quasi-static", "black box 21", "black box T")
 STATISTICS = ("mean", "median", "trmean", "stdev")
 """The tables also print `semean`, which is stdev / sqrt(n)."""
@@ -203,12 +203,12 @@ def recover_efficiency(b: float, n: float) -> float:
 
 
 def quasi_static() -> Model:
-    """Full-regressions C-8 and C-9: fitted to C-1 at 21 degC."""
+    """Full-regressions C-8 and C-9: fitted to C-1 at 21 °C."""
     return fit(catalogue.get("quasi-static"), thesis_points("c01")).model
 
 
 def black_box_21() -> Model:
-    """Row 6: Table 4-2 at 21 degC. Row 7: Table C-38 (not Equation 4-36, A77)."""
+    """Row 6: Table 4-2 at 21 °C. Row 7: Table C-38 (not Equation 4-36, A77)."""
     low = load("t4_2_coefs_0_125")[0]
     high = load("c38_isobaric_equation_21c")[0]
     values = {

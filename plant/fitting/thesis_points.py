@@ -22,7 +22,7 @@ TABLES = ("c01", "c02", "c03", "c04", "c06")
 def thesis_points(name: str, warm: bool = False) -> Points:
     """Settled points of C-1, C-2, C-3, C-4 or C-6.
 
-    `warm` includes the columns above 21 degC of C-1 and C-2, which are a formula (A02) or that
+    `warm` includes the columns above 21 °C of C-1 and C-2, which are a formula (A02) or that
     formula plus noise (A06). Raises `PlantError` for another table.
     """
     if name not in TABLES:
@@ -43,10 +43,10 @@ def thesis_points(name: str, warm: bool = False) -> Points:
         order, start = _cycles(columns, use)
     given = (pressure, length, temperature, force)
     picked = [np.asarray(a[order], dtype=np.float64) for a in given]
-    cells = [f"{p:g} kPa {x:g} mm {t:g} degC" for p, x, t, _ in zip(*picked, strict=True)]
+    cells = [f"{p:g} kPa {x:g} mm {t:g} °C" for p, x, t, _ in zip(*picked, strict=True)]
     source = f"thesis table {name[0].upper()}-{int(name[1:])}"
     if name in ("c01", "c02"):
-        source += " at 21 to 39 degC" if warm else " at 21 degC"
+        source += " at 21 to 39 °C" if warm else " at 21 °C"
     return Points(
         pressure_pa=picked[0] * 1e3,
         length_m=picked[1] * 1e-3,

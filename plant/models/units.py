@@ -19,6 +19,7 @@ BASE: dict[str, float] = {
     "ml": 1e-6,
     "s": 1.0,
     "degC": 1.0,
+    "°C": 1.0,
     "rad": 1.0,
     "deg": math.pi / 180.0,
     "%": 0.01,

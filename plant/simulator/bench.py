@@ -211,6 +211,15 @@ class BenchSim:
         self._jump(float(absolute - atmosphere), length_mm * 1e-3)
         self.state[LENGTH_RATE] = 0.0
 
+    def lead_to(self, length_mm: float) -> None:
+        """Hold the muscle at another length, led there so slowly that its pressure stays.
+
+        Raises `PlantError` as :meth:`set_length`.
+        """
+        pressure_pa = float(self.state[PRESSURE])
+        self.set_length(length_mm)
+        self._jump(pressure_pa, float(self.state[LENGTH]))
+
     def set_length_rate(self, rate_mm_s: float) -> None:
         """Move the stage at a steady rate, positive when lengthening, until told otherwise."""
         self._check_prescribed("set_length_rate")
@@ -219,7 +228,7 @@ class BenchSim:
         self.state[LENGTH_RATE] = rate_mm_s * 1e-3
 
     def set_temperature(self, temperature_c: float) -> None:
-        """Temperature of the muscle's wall. Raises `PlantError` out of -40 to 120 degC."""
+        """Temperature of the muscle's wall. Raises `PlantError` out of -40 to 120 °C."""
         if not -40.0 <= temperature_c <= 120.0:
             raise PlantError(f"temperature_c = {temperature_c!r}; allowed -40 to 120")
         self.state[layout.TEMPERATURE] = temperature_c + 273.15

@@ -84,11 +84,11 @@ def _config(config: RigConfig) -> Iterator[Finding]:
             "(a normally open outlet vents by itself)",
         )
     for quantity, cal in config.calibrations.items():
-        made = f"of {cal.date}" if cal.date else "without a date"
+        made = f" of {cal.date}" if cal.date else ", no date"
         yield Finding(
             f"calibration {quantity}",
             "ok" if cal.date else "warn",
-            f"{cal.id} {made}, {cal.domain[0]:g} to {cal.domain[1]:g} {cal.unit}, "
+            f"{cal.id}{made}, {cal.domain[0]:g} to {cal.domain[1]:g} {cal.unit}, "
             f"u = {cal.u_offset:g} {cal.unit} + {cal.u_gain * 100:g} %",
         )
     for late in due_calibrations(config):
@@ -116,7 +116,8 @@ def _devices(rig: Rig) -> Iterator[Finding]:
         yield _pressure(side, rig.clock.virtual)
     yield from _readings(rig)
     yield from _clocks(rig)
-    if config.camera.source and config.joint is None:  # marks are an instrument of the joint
+    ram = config.virtual is not None and config.virtual.load == "ram"  # no muscle, so no marks
+    if config.camera.source and config.joint is None and not ram:  # a joint's marks: an instrument
         yield _camera(rig)
     for side in rig.sides:
         if side.valve.fault_latched:
@@ -131,8 +132,8 @@ def _identities(rig: Rig) -> Iterator[Finding]:
         yield Finding(
             f"valve controller{_which(side)}",
             "ok",
-            f"{v.get('board')} {v.get('serial')}, firmware {v.get('fw')}, config CRC"
-            f" {v.get('conf')}, boot {v.get('boot')} ({v.get('cause')})",
+            f"{v.get('board')} {v.get('serial') or '(no serial number)'}, firmware {v.get('fw')},"
+            f" config CRC {v.get('conf')}, boot {v.get('boot')} ({v.get('cause')})",
         )
     for name in [n for n in rig.identities if n not in sides_of(rig.config)]:
         words = ", ".join(f"{k} {x}" for k, x in rig.identities[name].items() if x)
@@ -145,7 +146,7 @@ def _clocks(rig: Rig) -> Iterator[Finding]:
         fit = side.valve.clock_fit
         if fit.ready:
             mark = "ok" if fit.error_ns < 2e6 else "warn"
-            detail = f"error {fit.error_ns / 1e6:.3f} ms, drift {fit.drift_ppm:+.0f} ppm"
+            detail = f"error {fit.error_ns / 1e6:.3f} ms, drift {round(fit.drift_ppm) + 0:+d} ppm"
             yield Finding(f"clock fit{_which(side)}", mark, detail)
 
 
@@ -171,18 +172,20 @@ def _pressure(side: Side, virtual: bool) -> Finding:
 
 
 def _readings(rig: Rig) -> Iterator[Finding]:
-    """The balance, where there is one, and the optional instruments."""
+    """The force as a test takes it, where something measures it, and the optional instruments."""
     config = rig.config
     grams, stable = rig.balance.recent(10)
+    source = f"from [{config.force_source}]"
     if config.force_source == NONE:
         pass
     elif not len(grams):
-        yield Finding("balance readings", "stop", rig.balance.last_problem or "none came")
+        yield Finding("force", "stop", f"{source}: {rig.balance.last_problem or 'no reading came'}")
     else:
         newton = abs(config.calibrations["force_n"].scale)
         spread = float(np.std(grams)) * newton
         mark = "ok" if stable.all() else "warn"
-        yield Finding("balance readings", mark, f"noise {spread:.3f} N, stable {stable.mean():.0%}")
+        detail = f"{source}, noise {spread:.3f} N, {stable.mean():.0%} of readings stable"
+        yield Finding("force", mark, detail)
     yield from _instruments(rig)
 
 
@@ -213,7 +216,7 @@ def _timing(answer: dict[str, str], which: str) -> Finding:
     if step:
         detail += f", longest safety step {step} us"
     if missed:
-        detail += f", {missed} ms without a pass of the loop"
+        detail += f", {missed} ms in all without a pass of the loop"
     if high >= DRIVE_SILENCE_US or loop * TICK_US >= LOOP:
         mark = "stop"
         detail += ": an armed controller would latch loop_stalled; install the firmware again"

@@ -1,4 +1,4 @@
-"""Calibrating the source of force with dead weights: the laboratory method, top to bottom.
+"""Calibrating the force sensor with dead weights: the laboratory method, top to bottom.
 
 On a load cell they are hung one after the other, up and down; on a balance they all stand on the
 pan, are tared away, and are taken off one after the other, as the muscle takes weight off.
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from analysis.regression.calibration_line import LEAST_POINTS, Reference
+from analysis.regression.calibration_line import Reference
 from daq.errors import ConfigError, PamrigError
 from daq.interrupt import StopFlag
 from rigs.bench.rig import Rig, open_rig
@@ -20,15 +20,18 @@ from rigs.calibration.run import (
     add_point,
     block_mean,
     carry_out,
+    check_values,
     finish,
+    leave_out,
     open_record,
+    over_range,
+    request,
     up_and_down,
 )
 from rigs.devices.instruments.balance import Balance
 from rigs.devices.instruments.load_cell import LoadCell
-from rigs.devices.operator import Request, put_request
 from rigs.execution.runner import Watch
-from rigs.rigfile.config import RigConfig
+from rigs.rigfile.config import NONE, RigConfig
 
 TARES = 6
 """So many tares after the weights tell what a tare leaves."""
@@ -45,7 +48,7 @@ def calibrate_force(
     stop: StopFlag | None = None,
     watch: Watch | None = None,
 ) -> Calibrated:
-    """Calibrate the source of force with dead weights.
+    """Calibrate the force sensor with dead weights.
 
     Args:
         config: the rig; the load cell or the balance, whichever is its force_source.
@@ -57,22 +60,18 @@ def calibrate_force(
         who, stop, watch: as for the pressure.
 
     Raises:
-        ConfigError: too few weights, or one beyond the rig's limit.
+        ConfigError: no force sensor, too few weights, or one beyond the rig's limit.
         DeviceTimeout: the load would not come to rest.
     """
-    gravity = config.conditions.gravity_m_s2
-    if len(set(masses_kg)) < LEAST_POINTS:
+    if config.force_source == NONE:
         raise ConfigError(
-            "masses", f"at least {LEAST_POINTS} different ones are needed", "add some"
+            config.source, "has no balance and no load cell to calibrate", "choose another --rig"
         )
-    for mass in masses_kg:
-        if not 0.0 <= mass * gravity <= config.limits.force_n:
-            raise ConfigError(
-                "masses",
-                f"{mass:g} kg is {mass * gravity:.4g} N, limits.force_n is "
-                f"{config.limits.force_n:g} N ({config.source})",
-                "correct the list or the limit",
-            )
+    gravity = config.conditions.gravity_m_s2
+    check_values(
+        "--masses-kg", masses_kg, 0.0, config.limits.force_n / gravity, "kg",
+        f"{config.source}: limits.force_n = {config.limits.force_n:g} N",
+    )  # fmt: skip
     stop, watch = stop or StopFlag(), watch or Watch()
     parameters = {"masses_kg": list(masses_kg), "seconds": seconds, "gravity_m_s2": gravity}
     with open_rig(config) as rig:
@@ -81,7 +80,7 @@ def calibrate_force(
         zeros: list[float] = []
 
         def method() -> None:
-            _request(rig, "muscle off", 0.0, "take the muscle off the force sensor")
+            request(rig, "muscle off", 0.0, "kg", f"take the muscle off the {_sensor(rig)}")
             most = max(masses_kg)
             hangs = isinstance(rig.balance, LoadCell)
             loads = up_and_down(masses_kg)
@@ -96,8 +95,12 @@ def calibrate_force(
                 if load != there:  # nobody is asked to do what is done
                     _hang(rig, load)
                 there = load
-                raw, u_raw = _weigh(rig, seconds)
-                add_point(record, points, Point(raw, u_raw, mass * gravity))
+                found = _weigh(rig, seconds)
+                if found is None:
+                    name = rig.balance.name
+                    leave_out(record, watch, f"calibrate force, {mass:g} kg", name, mass_kg=mass)
+                else:
+                    add_point(record, points, Point(*found, mass * gravity))
             watch.state(f"calibrate force: {TARES} tares")
             for _ in range(TARES):
                 rig.balance.tare()
@@ -105,7 +108,7 @@ def calibrate_force(
                 record.event("tare_left", reading=zeros[-1])
             if there:
                 _hang(rig, 0.0)
-            _request(rig, "muscle", 0.0, "mount the muscle again")
+            request(rig, "muscle", 0.0, "kg", "mount the muscle again")
 
         carry_out(rig, record, method, stop)
         if isinstance(rig.balance, LoadCell):
@@ -119,41 +122,59 @@ def calibrate_force(
         return finish(record, rig, old, device, points, weights, zeros)
 
 
-def _request(rig: Rig, axis: str, value: float, text: str) -> None:
-    put_request(
-        rig.operator, rig.event_loop, Request(axis, value, "kg", f"{text}, then press Enter")
-    )
+def _sensor(rig: Rig) -> str:
+    """What the operator sees of the force sensor."""
+    return "load cell" if isinstance(rig.balance, LoadCell) else "balance"
 
 
 def _hang(rig: Rig, mass_kg: float) -> None:
-    text = f"load the force sensor with {mass_kg:g} kg" if mass_kg else "take all weights off"
-    _request(rig, "dead weight", mass_kg, text)
+    verb = "hang" if isinstance(rig.balance, LoadCell) else "put"
+    text = f"{verb} {mass_kg:g} kg on the {_sensor(rig)}" if mass_kg else "take all weights off"
+    request(rig, "dead weight", mass_kg, "kg", text)
 
 
 def _at_rest(rig: Rig, seconds: float = 20.0) -> None:
-    """Wait for readings that all say that they are stable."""
+    """Wait for readings that all say that they are stable, or that are none."""
     source = rig.balance
-    start, n = source.rows, 5
-    rig.event_loop.until(
-        lambda: source.rows >= start + n and bool(source.recent(n)[1].all()), seconds
-    )
+    start, n, before = source.rows, 5, over_range(source.counters())
+
+    def still() -> bool:
+        if over_range(source.counters()) >= before + n:
+            return True
+        return source.rows >= start + n and bool(source.recent(n)[1].all())
+
+    rig.event_loop.until(still, seconds)
 
 
 def _weigh_net(rig: Rig, seconds: float) -> float:
     """What a tare has left, in the unit of :func:`_weigh`."""
-    raw, _ = _weigh(rig, seconds)
     source = rig.balance
+    found = _weigh(rig, seconds)
+    if found is None:
+        raise PamrigError(source.name, f"is at the end of its range: {source.last_problem}")
+    raw, _ = found
     return float(source.grams(raw)) / source.factor if isinstance(source, LoadCell) else raw
 
 
-def _weigh(rig: Rig, seconds: float) -> tuple[float, float]:
-    """Mean raw reading (g of a balance, the indicator's unit of a load cell) and its u."""
+def _weigh(rig: Rig, seconds: float) -> tuple[float, float] | None:
+    """Mean raw reading (g of a balance, the indicator's unit of a load cell) and its u.
+
+    None where a reading was at the end of the range meanwhile.
+
+    Raises:
+        PamrigError: too few readings came.
+    """
     source = rig.balance
     _at_rest(rig)
     rate_hz = source.indicator.rate_hz if isinstance(source, LoadCell) else 10.0
     n = max(3, round(seconds * rate_hz))
-    start = source.rows
-    if not rig.event_loop.until(lambda: source.rows >= start + n, 3 * seconds + 2.0):
+    start, over = source.rows, over_range(source.counters())
+    whole = rig.event_loop.until(
+        lambda: source.rows >= start + n or over_range(source.counters()) > over, 3 * seconds + 2.0
+    )
+    if over_range(source.counters()) > over:
+        return None
+    if not whole:
         raise PamrigError(source.name, "sent too few readings", source.last_problem)
     if isinstance(source, LoadCell):
         return block_mean(source.indicator.recent(n)[0], 0.001)

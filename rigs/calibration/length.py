@@ -23,13 +23,16 @@ from rigs.calibration.run import (
     add_point,
     block_mean,
     carry_out,
+    check_values,
     finish,
+    leave_out,
     open_record,
+    over_range,
+    request,
     up_and_down,
 )
 from rigs.devices.interfaces import Instrument
 from rigs.devices.motion.stage import MotorStage
-from rigs.devices.operator import Request, put_request
 from rigs.execution.runner import Watch
 from rigs.rigfile.config import CAMERA, RigConfig
 
@@ -72,19 +75,10 @@ def calibrate_length(  # noqa: PLR0913 - reference, instrument and hooks, each b
         PamrigError: the instrument gave too few readings, or readings that do not change.
     """
     name = _instrument(config, instrument)
-    if len(set(lengths_mm)) < LEAST_POINTS:
-        raise ConfigError(
-            "lengths", f"at least {LEAST_POINTS} different ones are needed", "add some"
-        )
-    low, high = config.limits.length_min_mm, config.limits.length_max_mm
-    for length in lengths_mm:
-        if not low <= length <= high:
-            raise ConfigError(
-                "lengths",
-                f"{length:g} mm is outside limits.length_min_mm and length_max_mm,"
-                f" {low:g} to {high:g} mm ({config.source})",
-                "correct the list or the limits",
-            )
+    check_values(
+        "--lengths-mm", lengths_mm, config.limits.length_min_mm, config.limits.length_max_mm, "mm",
+        f"{config.source}: limits.length_min_mm and length_max_mm",
+    )  # fmt: skip
     stop, watch = stop or StopFlag(), watch or Watch()
     parameters = {
         "lengths_mm": list(lengths_mm), "seconds": seconds, "instrument": name,
@@ -104,22 +98,26 @@ def calibrate_length(  # noqa: PLR0913 - reference, instrument and hooks, each b
 
         def method() -> None:
             if not by_stage:
-                _request(rig, "muscle off", 0.0, "take the muscle out")
+                request(rig, "muscle off", 0.0, "mm", "take the muscle out")
             for length in up_and_down(lengths_mm):
                 watch.state(f"calibrate length: {length:g} mm")
                 at_mm = length
                 if by_stage:
                     at_mm = stage.set_value(length)
                 else:
-                    _request(rig, "block", length, f"put a gauge block of {length:g} mm in")
+                    request(rig, "block", length, "mm", f"put a gauge block of {length:g} mm in")
                 rig.event_loop.for_seconds(REST_S)
                 readings = _read(rig, reader, seconds)
+                if readings is None:
+                    where = f"calibrate length, {length:g} mm"
+                    leave_out(record, watch, where, reader.name, reference=at_mm)
+                    continue
                 seen.append((at_mm, readings))
                 record.event("calibration_readings", reference=at_mm, readings=list(readings))
             for point in _points(reader, seen):
                 add_point(record, points, point)
             if not by_stage:
-                _request(rig, "muscle", 0.0, "mount the muscle again")
+                request(rig, "muscle", 0.0, "mm", "mount the muscle again")
 
         carry_out(rig, record, method, stop)
         old = reader.calibration
@@ -146,20 +144,21 @@ def _instrument(config: RigConfig, instrument: str) -> str:
     return name
 
 
-def _request(rig: Rig, axis: str, value: float, text: str) -> None:
-    request = Request(axis, value, "mm", f"{text}, then press Enter")
-    put_request(rig.operator, rig.event_loop, request)
-
-
-def _read(rig: Rig, reader: Instrument, seconds: float) -> Array:
-    """The readings of so many seconds, as they came.
+def _read(rig: Rig, reader: Instrument, seconds: float) -> Array | None:
+    """The readings of so many seconds, as they came; None if some were at the end of the range.
 
     Raises:
         PamrigError: too few came.
     """
     n = max(LEAST_READINGS, round(seconds * reader.rate_hz))
-    start = reader.rows
-    if not rig.event_loop.until(lambda: reader.rows >= start + n, 3.0 * n / reader.rate_hz + 2.0):
+    start, over = reader.rows, over_range(reader.counters())
+    whole = rig.event_loop.until(
+        lambda: reader.rows >= start + n or over_range(reader.counters()) > over,
+        3.0 * n / reader.rate_hz + 2.0,
+    )
+    if over_range(reader.counters()) > over:
+        return None
+    if not whole:
         raise PamrigError(
             reader.name, f"sent {reader.rows - start} of {n} readings",
             reader.last_problem or "check its cable, and whether the length is in its range",
@@ -171,8 +170,13 @@ def _points(reader: Instrument, seen: Sequence[tuple[float, Array]]) -> list[Poi
     """Means with what noise and the step of the readings leave open.
 
     Raises:
-        PamrigError: the readings do not follow the lengths.
+        PamrigError: too few lengths, or the readings do not follow them.
     """
+    if len(seen) < LEAST_POINTS:
+        raise PamrigError(
+            reader.name, f"points within its range: {len(seen)}, needed: {LEAST_POINTS}",
+            "choose lengths in its range, or place it elsewhere",
+        )  # fmt: skip
     distinct = np.unique(np.concatenate([readings for _, readings in seen]))
     step = float(np.diff(distinct).min()) if len(distinct) > 1 else 0.0
     lengths = np.array([length for length, _ in seen])

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.regression.calibration_line import LEAST_POINTS, Reference
+from analysis.regression.calibration_line import Reference
 from daq.calibration import Calibration
 from daq.errors import ConfigError
 from daq.interrupt import StopFlag
@@ -25,6 +25,7 @@ from rigs.calibration.run import (
     add_point,
     block_mean,
     carry_out,
+    check_values,
     finish,
     middle,
     open_record,
@@ -133,18 +134,10 @@ def _pressure_steps(
 def _check_pressures(
     config: RigConfig, pressures_kpa: Sequence[float], reference: Reference | None
 ) -> None:
-    if len(set(pressures_kpa)) < LEAST_POINTS:
-        raise ConfigError(
-            "pressures", f"at least {LEAST_POINTS} different ones are needed", "add some"
-        )
-    for pressure in pressures_kpa:
-        if not 0.0 <= pressure <= config.limits.pressure_kpa:
-            raise ConfigError(
-                "pressures",
-                f"{pressure:g} kPa is outside 0 to {config.limits.pressure_kpa:g} kPa "
-                f"({config.source}: limits.pressure_kpa)",
-                "correct the list or the limit",
-            )
+    check_values(
+        "--pressures-kpa", pressures_kpa, 0.0, config.limits.pressure_kpa, "kPa",
+        f"{config.source}: limits.pressure_kpa",
+    )  # fmt: skip
     if reference is None and "pressure_transmitter" not in config.instruments.modbus:
         raise ConfigError(
             config.source,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,15 +12,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from analysis.regression.calibration_line import Reference, fit_line
+from analysis.regression.calibration_line import LEAST_POINTS, Reference, fit_line
 from daq.calibration import Calibration
 from daq.clock import NS_PER_S
-from daq.errors import PamrigError
+from daq.errors import ConfigError, PamrigError
 from daq.interrupt import StopFlag
 from daq.record.writer import RecordWriter
 from rigs.bench.rig import Rig
+from rigs.devices.operator import Request, request_enter
 from rigs.execution.manifest import software
-from rigs.execution.runner import outcome_of
+from rigs.execution.runner import Watch, outcome_of
 from rigs.rigfile.calibration_file import CalibrationFile
 
 BLOCKS = 10
@@ -110,6 +111,52 @@ def carry_out(rig: Rig, record: RecordWriter, method: Callable[[], None], stop: 
                 reason=str(error) if error is not None else "",
                 duration_s=(rig.clock.now_ns() - record.start_ns) / NS_PER_S,
             )
+
+
+def check_values(
+    option: str, values: Sequence[float], low: float, high: float, unit: str, limit: str
+) -> None:
+    """See that the values of the reference are enough, and within a limit of the rig.
+
+    Args:
+        option: which of the command line gave them.
+        values: of the reference, in ``unit``.
+        low, high: between which they must lie.
+        limit: file and key of these.
+
+    Raises:
+        ConfigError: they are not.
+    """
+    if len(set(values)) < LEAST_POINTS:
+        raise ConfigError(
+            option, f"at least {LEAST_POINTS} different values are needed", "add some"
+        )
+    for value in values:
+        if not low <= value <= high:
+            raise ConfigError(
+                option, f"{value:g} {unit} is outside {low:.4g} to {high:.4g} {unit} ({limit})",
+                "correct the list or the limit",
+            )  # fmt: skip
+
+
+def request(rig: Rig, axis: str, value: float, unit: str, text: str) -> None:
+    """Have a person set something, confirmed by Enter."""
+    put = Request(axis, value, unit, f"{text}, then press Enter")
+    request_enter(rig.operator, rig.event_loop, put)
+
+
+def over_range(counters: Mapping[str, int]) -> int:
+    """How many readings of a sensor were at an end of what it can read, by its counters.
+
+    They are no rows; the mean of those beside them leans away from that end.
+    """
+    return sum(counters.get(kind, 0) for kind in ("overload", "underload", "range"))
+
+
+def leave_out(record: RecordWriter, watch: Watch, where: str, device: str, **point: Any) -> None:
+    """Record and show that a point was not taken, as the sensor was at the end of its range."""
+    record.event("left_out", device=device, **point)
+    watch.log(f"{where}: left out, {device} is at the end of its range")
 
 
 def add_point(record: RecordWriter, points: list[Point], point: Point) -> None:

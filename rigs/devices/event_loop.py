@@ -28,6 +28,7 @@ class EventLoop:
     Attributes:
         lateness: how much later than planned each round began, on a real clock.
         late_s: that of the present round.
+        asks: whether a person has a request open.
         on_request: called with each request to a person while it waits, and with "" once it is
             answered.
     """
@@ -40,6 +41,7 @@ class EventLoop:
         self.acquisition = acquisition
         self.lateness = Lateness()
         self.late_s = 0.0
+        self.asks = False
         self._round_ns = 0
         self._polls: list[Callable[[], None]] = []
         self.on_request: list[Callable[[str], None]] = []

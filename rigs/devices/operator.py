@@ -33,12 +33,19 @@ class Request:
         value: what to set; nan when something is to be read.
         unit: its unit.
         text: the sentence for a person.
+        again: where the last answer was refused: why, in short. A terminal shows this in the place
+            of the sentence, which still stands above.
     """
 
     axis: str
     value: float
     unit: str
     text: str
+    again: str = ""
+
+    def refused(self, why: str) -> Request:
+        """The same request again, after an answer that was refused."""
+        return replace(self, text=f"{why}. Again: {self.text}", again=why)
 
 
 class Operator(Protocol):
@@ -121,7 +128,8 @@ class ConsoleOperator:
         while not self._lines.empty():  # what was typed before the question answers nothing
             self._lines.get_nowait()
         self._asking = True  # before the question is seen: its answer may be quick
-        print(f"\n>> {request.text}", file=sys.stderr, flush=True)
+        text = f"{request.again}. Your answer:" if request.again else request.text
+        print(f"\n>> {text}", file=sys.stderr, flush=True)
         self.listen()
 
     def listen(self) -> None:
@@ -174,6 +182,7 @@ def put_request(operator: Operator, event_loop: EventLoop, request: Request) -> 
     """Ask and wait, however long a person takes: (answer, waited in s)."""
     start_ns = event_loop.clock.now_ns()
     operator.begin(request)
+    event_loop.asks = True
     for listener in event_loop.on_request:
         listener(request.text)
     got: list[str] = []
@@ -185,7 +194,8 @@ def put_request(operator: Operator, event_loop: EventLoop, request: Request) -> 
         return bool(got)
 
     while not event_loop.until(answered, 3600.0):
-        operator.begin(request)  # an hour later it is still needed
+        operator.begin(replace(request, again=""))  # an hour later it is still needed
+    event_loop.asks = False
     for listener in event_loop.on_request:
         listener("")
     return got[0], (event_loop.clock.now_ns() - start_ns) / NS_PER_S
@@ -215,14 +225,13 @@ def request_number(operator: Operator, event_loop: EventLoop, request: Request) 
     Raises:
         DeviceError: no number in ``ANSWERS`` answers.
     """
-    note, text = "", ""
+    text, asked = "", request
     for _ in range(ANSWERS):
-        asked = replace(request, text=f"{note}{request.text}")
         text, _ = put_request(operator, event_loop, asked)
         value = read_number(text, request.unit)
         if value is not None:
             return value
-        note = f"{text!r} is not a number in {request.unit}. Again: "
+        asked = request.refused(f"{text!r} is not a number in {request.unit}")
     raise _unreadable("operator", text, f"not a number in {request.unit}")
 
 
@@ -234,9 +243,8 @@ def request_done(
     Raises:
         DeviceError: neither came in ``ANSWERS`` answers.
     """
-    waited, note, answer = 0.0, "", ""
+    waited, answer, what, asked = 0.0, "", "", request
     for _ in range(ANSWERS):
-        asked = replace(request, text=f"{note}{request.text}")
         answer, seconds = put_request(operator, event_loop, asked)
         waited += seconds
         if answer.lower() in TRUE_WORDS:
@@ -245,8 +253,24 @@ def request_done(
         if number is not None and low <= number <= high:
             return number, waited
         what = f"neither Enter nor a number from {low:g} to {high:g} {request.unit}"
-        note = f"{answer!r} is {what}. Again: "
+        asked = request.refused(f"{answer!r} is {what}")
     raise _unreadable(request.axis, answer, what)
+
+
+def request_enter(operator: Operator, event_loop: EventLoop, request: Request) -> float:
+    """Put a request until Enter confirms it, and nothing else; returns how long it took, in s.
+
+    Raises:
+        DeviceError: something else came in ``ANSWERS`` answers.
+    """
+    waited, answer, asked = 0.0, "", request
+    for _ in range(ANSWERS):
+        answer, seconds = put_request(operator, event_loop, asked)
+        waited += seconds
+        if answer.lower() in TRUE_WORDS:
+            return waited
+        asked = request.refused(f"{answer!r} is not Enter; Ctrl-C ends")
+    raise _unreadable(request.axis, answer, "not Enter")
 
 
 def _unreadable(where: str, text: str, what: str) -> DeviceError:
@@ -375,28 +399,28 @@ class ManualAxis:
         Raises:
             DeviceError: neither came in ``ANSWERS`` answers.
         """
-        waited, note, answer = 0.0, "", ""
+        waited, answer, asked = 0.0, "", request
         surprise = math.nan
         for _ in range(ANSWERS):
-            asked = replace(request, text=f"{note}{request.text}")
             answer, seconds = put_request(self._operator, self._event_loop, asked)
             waited += seconds
             number = read_number(answer, self.unit)
             if answer.lower() in TRUE_WORDS or (number is not None and not self._types):
                 return request.value, waited
             if number is None:
-                note = f"{answer!r} is neither Enter nor a number in {self.unit}. Again: "
+                why = f"{answer!r} is neither Enter nor a number in {self.unit}"
             elif not number <= self._highest:
                 limit = f"the limit of this rig, {self._highest:.4g} {self.unit}"
-                note = f"{number:g} {self.unit} is above {limit}. Again: "
+                why = f"{number:g} {self.unit} is above {limit}"
             elif self._surprising(number, request.value) and number != surprise:
                 surprise = number
-                note = (
+                why = (
                     f"{request.value:g} {self.unit} was requested, not {number:g}: type"
-                    f" {number:g} again if that is what hangs. Else: "
+                    f" {number:g} again if that is what hangs"
                 )
             else:
                 return number, waited
+            asked = request.refused(why)
         raise _unreadable(
             f"manual axis {self.name}", answer, f"neither Enter nor a number in {self.unit}"
         )

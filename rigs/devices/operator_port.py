@@ -18,8 +18,10 @@ CONNECT_S = 3.0
 
 def encode(request: Request) -> bytes:
     """A request as it goes over the line."""
-    value = None if math.isnan(request.value) else request.value
-    return json.dumps({**vars(request), "value": value}).encode() + b"\n"
+    fields = {name: getattr(request, name) for name in ("axis", "value", "unit", "text")}
+    if math.isnan(request.value):
+        fields["value"] = None
+    return json.dumps(fields).encode() + b"\n"
 
 
 def decode(line: bytes) -> Request:

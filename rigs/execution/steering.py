@@ -13,6 +13,13 @@ from rigs.steps.steps import Measure, SetLength, SetPressure, Settle, Vent
 if TYPE_CHECKING:
     from rigs.steps.context import StepContext
 
+DONE = {
+    "pause": "paused (p goes on)",
+    "resume": "the test goes on",
+    "skip": "the point that is being made is left out",
+    "repeat": "the last point is made again",
+}
+"""What the terminal shows once a request is taken."""
 LOOK_S = 0.25
 """How often the control file is looked at, in bench time."""
 Setting = Vent | SetPressure | SetLength
@@ -75,7 +82,8 @@ class Steering:
             self.skip = True
         elif word == "repeat":
             self._again = True
-        runner.watch.log(f"request: {word}")
+        still = "; the open request stays" if runner.rig.event_loop.asks else ""
+        runner.watch.log(f"{DONE[word]}{still}")
 
     def _order(self) -> int | None:
         last = self._last[2] if self._last is not None else None

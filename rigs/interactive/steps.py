@@ -137,7 +137,7 @@ class Stretch(CustomStep):
             "valve": (valve["device_us"] - start_us) * 1e-6,
             "balance": (
                 (balance["device_us"] - start_us) * 1e-6
-                if "device_us" in balance  # a cell on the controller
+                if "device_us" in balance  # a load cell on the controller
                 else (balance["host_ns"] - start_ns) * 1e-9
             ),
         }

@@ -68,7 +68,7 @@ def read(name: str, config: RigConfig) -> Isothermal:
     bars = t.table("isobaric", optional=True)
     out = Isothermal(
         name=t.text("name", "isothermal"),
-        temperatures_c=t.numbers("temperatures_c", -20, 80, unit="degC"),
+        temperatures_c=t.numbers("temperatures_c", -20, 80, unit="°C"),
         lengths_mm=t.numbers("lengths_mm", low, high, (), unit="mm", least=0),
         pressures_kpa=t.numbers("pressures_kpa", 0, top, (), unit="kPa", least=0),
         isobaric_pressures_kpa=bars.numbers("pressures_kpa", 0, top, (), unit="kPa", least=0),
@@ -76,8 +76,8 @@ def read(name: str, config: RigConfig) -> Isothermal:
         slack_length_mm=t.number("slack_length_mm", low, high, low, unit="mm"),
         soak=SoakCriterion(
             soak_s=soak.number("soak_s", 1, 36000, 300.0, unit="s"),
-            tolerance_c=soak.number("tolerance_c", 0.05, 20, 0.5, unit="degC"),
-            drift_c=soak.number("drift_c", 0.01, 20, 0.3, unit="degC"),
+            tolerance_c=soak.number("tolerance_c", 0.05, 20, 0.5, unit="°C"),
+            drift_c=soak.number("drift_c", 0.01, 20, 0.3, unit="°C"),
             timeout_s=soak.number("timeout_s", 1, 86400, 7200.0, unit="s"),
         ),
         method=read_method(t, config.limits, drift_n=0.05),

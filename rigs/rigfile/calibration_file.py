@@ -13,6 +13,11 @@ from daq.errors import ConfigError
 from daq.wholefile import write_whole
 from rigs.rigfile.toml_reader import Table, load_toml
 
+NO_SERIAL = (
+    '# instrument = "..."  # serial number of the sensor, which did not report one; a rig with'
+    " another one refuses this file"
+)
+
 
 @dataclass(frozen=True)
 class CalibrationFile:
@@ -118,15 +123,16 @@ def write_calibration(
         ConfigError: the file exists, or cannot be written.
     """
     if path.exists() and not overwrite:
-        raise ConfigError(str(path), "exists already", "choose another --to, or add --replace")
+        raise ConfigError(str(path), "exists already", "choose another --out, or add --replace")
     c = file.calibration
     rows = ",\n".join(f"    [{raw:.9g}, {ref:.9g}, {res:.4g}]" for raw, ref, res in points)
     days = f"valid_days = {c.valid_days}\n" if c.valid_days else ""
+    instrument = f"instrument = {json.dumps(file.instrument)}" if file.instrument else NO_SERIAL
     text = f"""# {c.unit} = offset + scale * {c.raw_unit}; uncertainties are standard (k = 1).
 quantity = {json.dumps(c.quantity)}
 id = {json.dumps(c.id)}
 date = {json.dumps(c.date)}
-instrument = {json.dumps(file.instrument)}
+{instrument}
 reference = {json.dumps(file.reference)}
 unit = {json.dumps(c.unit)}
 raw_unit = {json.dumps(c.raw_unit)}
@@ -146,5 +152,5 @@ points = [
         write_whole(path, text)
     except OSError as error:
         raise ConfigError(
-            str(path), f"cannot be written: {error.strerror}", "choose another --to"
+            str(path), f"cannot be written: {error.strerror}", "choose another --out"
         ) from None

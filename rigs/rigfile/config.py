@@ -295,7 +295,7 @@ def load_rig(name: str, seed: int | None = None) -> RigConfig:
 
 
 def _force_source(root: Table, instruments: InstrumentSettings) -> str:
-    """Balance, load cell, or a cell on the controller; the first that there is without the key."""
+    """Balance, or load cell, also on the controller; the first that there is without the key."""
     cells = [n for n, c in instruments.channels.items() if c.form.quantity == "force_n"]
     there = [name for name in ("balance", "load_cell") if name in root] + cells
     known = ("balance", "load_cell", *cells)
@@ -482,8 +482,8 @@ def _limits(t: Table, of_joint: bool = False) -> Limits:
 
 def _conditions(t: Table) -> Conditions:
     out = Conditions(
-        temperature_c=t.number("temperature_c", -20, 80, unit="degC"),
-        u_temperature_c=t.number("u_temperature_c", 0, 20, unit="degC"),
+        temperature_c=t.number("temperature_c", -20, 80, unit="°C"),
+        u_temperature_c=t.number("u_temperature_c", 0, 20, unit="°C"),
         gravity_m_s2=t.number("gravity_m_s2", 9.7, 9.9, 9.80665, unit="m/s2"),
     )
     t.finish()
@@ -599,7 +599,7 @@ def _camera_calibration(t: Table) -> tuple[Calibration, dict[str, float] | None]
 
 
 def _cell(instruments: InstrumentSettings, force_source: str) -> Calibration | None:
-    """The load cell's calibration file in net grams, where the cell is the force source.
+    """The load cell's calibration file in net grams, where it is the force sensor.
 
     A test tares it, so that only its scale counts; what is uncertain about zero stays.
     """
@@ -609,7 +609,7 @@ def _cell(instruments: InstrumentSettings, force_source: str) -> Calibration | N
     if cell is None or cell.form.unit not in GRAMS or not cell.calibration.date:
         return None
     scale = cell.calibration.scale / GRAMS[cell.form.unit]
-    tared = "every test tares the cell, so that its offset is 0"
+    tared = "every test tares the load cell, so that its offset is 0"
     note = "; ".join(filter(None, (cell.calibration.note, tared)))
     return replace(cell.calibration, raw_unit="g", offset=0.0, scale=scale, note=note)
 

@@ -134,13 +134,15 @@ class ManualAxisSettings:
 @dataclass(frozen=True)
 class LoadSettings:
     """Masses that are hung on the muscle: how well they are known (relative, k = 1), how fast
-    the pressure is let down under them, in kPa/s, and how far below a load a catch is set, in mm
-    (0: there is none).
+    the pressure is let down under them, in kPa/s, how far below a load a catch is set, in mm
+    (0: there is none), and by what part of ``limits.length_max_mm`` a load may stretch the vented
+    muscle beyond it.
     """
 
     u_mass: float = 1e-4
     lower_kpa_s: float = 150.0
     catch_mm: float = 0.0
+    stretch: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -224,6 +226,7 @@ def read_instruments(root: Table) -> InstrumentSettings:
             u_mass=load.number("u_mass", 0, 1, 1e-4),
             lower_kpa_s=load.number("lower_kpa_s", 1, 2000, 150.0, unit="kPa/s"),
             catch_mm=load.number("catch_mm", 0, 500, 0.0, unit="mm"),
+            stretch=load.number("stretch", 0, 1, 0.05),
         ),
         person.text("port", ""),
         marks,

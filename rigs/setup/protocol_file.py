@@ -17,7 +17,7 @@ _LINE = re.compile(
     r'^(?P<key>\w+)\s*=\s*(?P<value>"[^"]*"|\[[^\]]*\]|[^\s#"\[]+)(?P<rest>\s*(?:#.*)?)$'
 )
 UNITS = {"mm": "mm", "kpa": "kPa", "kg": "kg", "s": "s", "n": "N", "v": "V", "ms": "ms",
-         "c": "degC", "deg": "deg", "hz": "1/s"}  # fmt: skip
+         "c": "°C", "deg": "deg", "hz": "1/s"}  # fmt: skip
 MOST = 1e6
 MADE = "# Made by `pamrig init protocol` from the shipped file"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import count
 
 from daq.link.ports import PortInfo
 from rigs.rigfile.form import load_form
@@ -25,6 +26,7 @@ GRAVITY = 9.80665
 TOP_COUNT = 4095
 NOT_CALIBRATED = "not calibrated"
 """Id of a calibration that is only the maker's range, or a guess."""
+ANY_SERIAL = '# serial = "..."            # number that `pamrig doctor` prints: others are refused'
 PRESSURE = {
     "solenoids": "two solenoid valves, pulsed by the controller",
     "analogue": "a proportional regulator on the controller's analogue output",
@@ -201,7 +203,7 @@ force_n = {force:g}
 
 
 def _conditions(ask: Interview) -> str:
-    celsius = ask.number("temperature_c", "Temperature of the air", 21.0, -20, 80, "degC")
+    celsius = ask.number("temperature_c", "Temperature of the air", 21.0, -20, 80, "°C")
     return f"""[conditions]
 temperature_c = {celsius:g}        # entered by hand until a thermometer is connected
 u_temperature_c = 1.0
@@ -278,10 +280,10 @@ def _ports(
 def _link(ask: Interview, parts: Parts, device: str, what: str, baud: int) -> str:
     """The lines port, baud and serial of a device."""
     if parts.virtual:
-        return f'port = "virtual"\nbaud = {baud}\nserial = ""\n'
+        return f'port = "virtual"\nbaud = {baud}\n'
     answer = parts.found.get(device)
     left = [port for port in parts.ports if port not in parts.taken]
-    guess = answer.port if answer else left[0] if left else "/dev/ttyUSB0"
+    guess = answer.port if answer else left[0] if left else _free_port(parts.taken)
     port = ask.text(f"port_{device}", f"Port of the {what}", guess, _given)
     parts.taken.add(port)
     if answer is not None and answer.port == port:
@@ -289,8 +291,15 @@ def _link(ask: Interview, parts: Parts, device: str, what: str, baud: int) -> st
     else:
         baud = round(ask.number(f"baud_{device}", f"Baud rate of the {what}", baud, 300, 4_000_000))
         serial = ""
-    note = "# another one is refused" if serial else '# "": any; `pamrig doctor` prints it'
-    return f'port = "{port}"\nbaud = {baud}\nserial = "{serial}"  {note}\n'
+    identity = (
+        f'serial = "{serial}"  # a device with another number is refused' if serial else ANY_SERIAL
+    )
+    return f'port = "{port}"\nbaud = {baud}\n{identity}\n'
+
+
+def _free_port(taken: set[str]) -> str:
+    """A port to begin with where none was found, another one for each device."""
+    return next(port for n in count() if (port := f"/dev/ttyUSB{n}") not in taken)
 
 
 def _given(word: str) -> str:
@@ -477,7 +486,7 @@ def _camera(ask: Interview, parts: Parts) -> str:
     producer = f'gentl = "{gentl}"\n' if gentl and source.startswith("genicam") else ""
     return f"""[camera]
 source = "{source}"
-{producer}serial = ""
+{producer}{ANY_SERIAL}
 jpeg_quality = 95
 # calibration = "camera.toml"   # as `pamrig calibrate camera` writes it, in place of
 #                               # [calibrations.length_mm]
@@ -516,7 +525,7 @@ def _calibrations(ask: Interview, parts: Parts) -> str:
 # calibration = "FILE" in place of the keys of that table.
 [calibrations.pressure_kpa] # of the transducer on the controller
 id = "{NOT_CALIBRATED}"
-date = ""
+date = ""                   # of the calibration, as "2026-01-31"; there was none yet
 unit = "kPa"
 raw_unit = "count"
 offset = {low!r}
@@ -530,7 +539,7 @@ domain = [{low!r}, {high!r}]
     text += f"""
 [calibrations.force_n]
 id = "{NOT_CALIBRATED}"
-date = ""
+date = ""                   # of the calibration, as "2026-01-31"; there was none yet
 unit = "N"
 raw_unit = "g"
 offset = 0.0
@@ -549,7 +558,7 @@ domain = [-50.0, 200.0]
     return f"""{text}
 [calibrations.length_mm]    # a guess: `pamrig calibrate camera`
 id = "{NOT_CALIBRATED}"
-date = ""
+date = ""                   # of the calibration, as "2026-01-31"; there was none yet
 unit = "mm"
 raw_unit = "pixel"
 offset = {offset!r}               # length at zero gap

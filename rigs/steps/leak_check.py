@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 REST_S = 0.3
 """After the valves have shut: what moves in this time is no leak."""
 MEAN_SAMPLES = 200
+LEAKS_OUT = "look for the leak (fittings, clamps, liner, valve seats)"
+LEAKS_IN = "the inlet valve lets air in: clean or replace it"
 CRITERION = SettleCriterion(0.5, 5.0, 1.0, None, 20.0)
 
 
@@ -33,10 +35,10 @@ class LeakCheck(CustomStep):
     seconds: ClassVar[float] = 8.0
 
     def perform(self, runner: StepContext) -> float:
-        """The loss in kPa/s, also recorded.
+        """The loss in kPa/s, positive where the pressure falls; also recorded.
 
         Raises:
-            RunFault: it is above the limit.
+            RunFault: the pressure fell, or rose, faster than the limit.
         """
         from rigs.steps.context import RunFault
 
@@ -55,13 +57,17 @@ class LeakCheck(CustomStep):
             hold_s=self.hold_s, tight=tight,
         )  # fmt: skip
         runner.do(Vent())
+        what = (
+            f"{first:.0f} kPa {'fell' if loss >= 0 else 'rose'} by {abs(loss):.3f} kPa/s with"
+            f" both valves shut (limit {self.limit_kpa_s:g} kPa/s)"
+        )
         if not tight:
             raise RunFault(
                 "leak check",
-                f"{first:.0f} kPa {'fell' if loss > 0 else 'rose'} by {abs(loss):.2f} kPa/s with"
-                f" both valves shut (limit {self.limit_kpa_s:g})",
-                "look for the leak (fittings, clamps, liner, valve seats); leak_check.limit_kpa_s",
+                what,
+                f"{LEAKS_OUT if loss > 0 else LEAKS_IN}; leak_check.limit_kpa_s",
             )
+        runner.watch.log(f"leak check: {what}")
         return loss
 
     def _mean(self, runner: StepContext) -> float:

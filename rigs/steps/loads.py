@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -13,6 +14,7 @@ from rigs.steps.steps import Vent
 if TYPE_CHECKING:
     from rigs.steps.context import StepContext
 
+LENGTH_READINGS = 5
 LOWER_STEP_S = 0.05
 LOWEST_KPA = 5.0
 """From here on it vents: no valve holds less."""
@@ -38,7 +40,8 @@ class HangLoad(CustomStep):
         """Ask, wait, record.
 
         Raises:
-            DeviceError: the weight is above the rig's limit of force, or the muscle has pressure.
+            DeviceError: the weight is above the rig's limit of force, or stretches the muscle
+                beyond its limit of length.
         """
         config = runner.rig.config
         weight_n = self.mass_kg * config.conditions.gravity_m_s2
@@ -59,6 +62,8 @@ class HangLoad(CustomStep):
             "load", asked_kg=self.mass_kg, mass_kg=setting.taken, checked_by=setting.checked_by,
             **checked,
         )  # fmt: skip
+        if self.mass_kg:
+            check_stretch(runner)
         catch_mm = config.instruments.load.catch_mm
         if self.mass_kg and catch_mm:
             text = f"set the catch {catch_mm:g} mm below the load, then press Enter"
@@ -75,6 +80,43 @@ class HangLoad(CustomStep):
         """The mass that was asked for last: what hangs may have been read a little differently."""
         settings = runner.rig.axes["mass"].settings if "mass" in runner.rig.axes else []
         return settings[-1].asked if settings else 0.0
+
+
+def check_stretch(runner: StepContext) -> None:
+    """See that the hung load has not stretched the vented muscle, which is at its longest now.
+
+    Where no mark is seen nothing is known; the test itself reports that with its first point.
+
+    Raises:
+        DeviceError: the muscle is longer than ``limits.length_max_mm`` and ``load.stretch`` allow.
+    """
+    config = runner.rig.config
+    limit_mm, stretch = config.limits.length_max_mm, config.instruments.load.stretch
+    length_mm = _hung_length_mm(runner)
+    if length_mm > limit_mm * (1.0 + stretch):
+        raise DeviceError(
+            config.source,
+            f"the vented muscle is {length_mm:.1f} mm long under {runner.load_kg:g} kg: above"
+            f" limits.length_max_mm = {limit_mm:g} by more than load.stretch = {stretch:g}"
+            f" ({limit_mm * (1.0 + stretch):.1f} mm)",
+            "take the load off; hang a lighter one, or correct the limit",
+        )
+
+
+def _hung_length_mm(runner: StepContext) -> float:
+    """The length by the instrument or a picture; NaN where neither reads it."""
+    from rigs.steps.pictures import take_picture
+
+    rig = runner.rig
+    if rig.length_reader is not None:
+        return float(rig.length_reader.next_mean(LENGTH_READINGS))
+    if not rig.config.camera.source:
+        return math.nan
+    picture = take_picture(rig, runner.record, runner.camera)
+    runner.watch.picture(picture.host_ns, picture.jpeg, picture.gap)
+    gap = picture.gap
+    calibration = rig.config.calibrations["length_mm"]
+    return float(calibration.apply(gap.pixels)) if gap.trusted else math.nan
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ class SetLength:
 
 @dataclass(frozen=True)
 class Tare:
-    """Tare the balance; the muscle must be vented and slack."""
+    """Tare the force sensor; the muscle must be vented and slack."""
 
 
 @dataclass(frozen=True)

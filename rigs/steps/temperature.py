@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from daq.clock import NS_PER_S
 from daq.errors import DeviceError
-from rigs.devices.operator import Request, put_request
+from rigs.devices.operator import Request, request_enter
 from rigs.steps.custom_step import CustomStep
 from rigs.steps.steps import State, Vent
 
@@ -53,11 +53,11 @@ class SetTemperature(CustomStep):
                 rig.config.source, "has no [thermometer]", "see docs/reference/instruments.md"
             )
         runner.do(Vent())
-        runner.do(State(f"soak at {self.temperature_c:g} degC"))
+        runner.do(State(f"soak at {self.temperature_c:g} °C"))
         # The thermometer's word counts when it has soaked, not when the knob has been turned.
-        text = f"set the bench to {self.temperature_c:g} degC, then press Enter"
-        request = Request("temperature", self.temperature_c, "degC", text)
-        _, asked_s = put_request(rig.operator, rig.event_loop, request)
+        text = f"set the bench to {self.temperature_c:g} °C, then press Enter"
+        request = Request("temperature", self.temperature_c, "°C", text)
+        asked_s = request_enter(rig.operator, rig.event_loop, request)
         start_ns = begun_ns = rig.clock.now_ns()
         low = high = thermometer.mean(READINGS)
 
@@ -79,5 +79,5 @@ class SetTemperature(CustomStep):
             waited_s=waited_s, operator_s=asked_s,
         )  # fmt: skip
         if not settled:
-            runner.watch.log(f"{self.temperature_c:g} degC not reached in {c.timeout_s:g} s")
+            runner.watch.log(f"{self.temperature_c:g} °C not reached in {c.timeout_s:g} s")
         return settled, waited_s

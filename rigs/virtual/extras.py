@@ -14,7 +14,18 @@ from daq.calibration import Calibration
 from daq.clock import Clock
 from daq.errors import ConfigError
 from plant.constants import GAS_CONSTANT_J_KG_K
-from plant.physics.layout import LENGTH, LENGTH_MAX, LENGTH_RATE, LOAD, MASS, MASS_OUT, PRESSURE
+from plant.physics.layout import (
+    BRAID_LENGTH,
+    GRAVITY,
+    LENGTH,
+    LENGTH_MAX,
+    LENGTH_RATE,
+    LOAD,
+    MASS,
+    MASS_OUT,
+    PRESSURE,
+    STOP_STIFFNESS,
+)
 from plant.simulator.bench import BenchSim
 from rigs.rigfile.config import RigConfig
 from rigs.rigfile.instruments import CardDevice, TextDevice
@@ -53,8 +64,11 @@ def hang(plant: BenchSim, mass_kg: float) -> None:
     Without a load the muscle's lower end is where it was, held by whatever holds it then.
     """
     if mass_kg > 0.0:
-        if plant.load == "isometric":
-            plant.set_length(float(plant.params[LENGTH_MAX]) * 1e3)
+        stretch_m = mass_kg * float(plant.params[GRAVITY] / plant.params[STOP_STIFFNESS])
+        longest_m = 0.999 * float(plant.params[BRAID_LENGTH])
+        plant.load = "isometric"
+        plant.params[LOAD] = 0.0
+        plant.lead_to(1e3 * min(float(plant.params[LENGTH_MAX]) + stretch_m, longest_m))
         plant.load = "isotonic"
         plant.params[LOAD] = 1.0
         plant.params[MASS] = mass_kg

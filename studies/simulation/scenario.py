@@ -131,7 +131,7 @@ def load_scenario(name: str, plant: Path | None = None) -> Scenario:
         description=t.text("description", ""),
         duration_s=duration,
         seed=t.integer("seed", 0, 2**31 - 1, 1),
-        temperature_c=t.number("temperature_c", -20, 80, 21.0, unit="degC"),
+        temperature_c=t.number("temperature_c", -20, 80, 21.0, unit="°C"),
         mechanism=mechanism,
         muscles=muscles,
         commands=_commands(t, muscles, duration),

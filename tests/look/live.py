@@ -26,7 +26,7 @@ from daq.store.run import open_run
 from tests.look.browser import Browser
 from tests.look.synthetic import SyntheticTest
 
-LOAD_S = 300.0  # 43 MB of page, compiled and drawn without a graphics card
+LOAD_S = 900.0  # 43 MB of page, compiled and drawn without a graphics card
 DRAWN = 300  # pixels of a colour that must be there before the picture counts as drawn
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.figures.wording import with_u
 from analysis.findings.findings import (
     BARS,
     EXPANDED,
@@ -21,6 +22,7 @@ from analysis.findings.findings import (
 from analysis.layouts.muscle import dynamic_layout
 from analysis.reduction.muscle.energy import State, cycle_energy, stated_air
 from analysis.reduction.muscle.response import (
+    GAIN_UNITS,
     PRESSURE_FORCE,
     PRESSURE_LENGTH,
     SET_PRESSURE,
@@ -34,7 +36,6 @@ if TYPE_CHECKING:
     from analysis.reduction.points import Reduction
     from daq.store.run import Run
 
-UNITS = {SET_PRESSURE: "kPa/kPa", PRESSURE_FORCE: "N/kPa", PRESSURE_LENGTH: "mm/kPa"}
 NARROW = 5.0
 """A logarithmic axis whose ends differ by less gets evenly spaced labels."""
 FEW_SINES = 6
@@ -77,13 +78,13 @@ def dynamic_findings(run: Run, reduction: Reduction) -> Findings:
         sections.append(
             Section(
                 f"Frequency response, {pair}",
-                figure=partial(_bode, part, UNITS[pair]),
+                figure=partial(_bode, part, GAIN_UNITS[pair]),
                 caption=f"Circles: sines; lines: sweeps. {BARS}",
             )
         )
         columns: list[tuple[str, str]] = [
             ("slot", "excitation"), ("repeat", "repeat"), ("shape", "by"),
-            ("frequency_hz", "frequency, Hz"), ("gain", f"gain, {UNITS[pair]}"),
+            ("frequency_hz", "frequency, Hz"), ("gain", f"gain, {GAIN_UNITS[pair]}"),
             ("phase_deg", "phase, °"), ("coherence", "coherence"), ("segments", "segments"),
         ]  # fmt: skip
         if pair == SET_PRESSURE:
@@ -199,8 +200,14 @@ def _headline(
     if bands:
         least = min(bands, key=lambda band: band["bandwidth_hz"])
         text += (
-            f"; the pressure follows its set-point (−3 dB) up to {least['bandwidth_hz']:.3g} ±"
-            f" {2 * least['u_bandwidth_hz']:.1g} Hz (k = 2; {least['slot']})"
+            "; the pressure follows its set-point (−3 dB) up to"
+            f" {with_u(least['bandwidth_hz'], least['u_bandwidth_hz'])} Hz (k = 2; {least['slot']})"
+        )
+    elif len(own := table[table["pair"] == SET_PRESSURE]):
+        last = own.sort_values("frequency_hz").iloc[-1].to_dict()
+        text += (
+            f"; at {last['frequency_hz']:.3g} Hz the gain from set-point to pressure is"
+            f" {with_u(last['gain'], last['u_gain'])} (k = 2; {last['slot']})"
         )
     if stopped:
         text += f"; at {stopped[0]['low_hz']:g} Hz it did not follow any more"
@@ -236,7 +243,7 @@ def _bode(part: pd.DataFrame, unit: str) -> Figure:
                 "color": colour, "fmt": f"{marker(k)}" if sine else "-", "markersize": 4,
                 "linewidth": 1.0, "elinewidth": 0.7,
             }  # fmt: skip
-            label = f"{slot}, {repeat}, {shape}"
+            label = f"{slot}, repeat {repeat}, {shape}"
             gain, u_gain = rows["gain"].to_numpy(float), COVERAGE * rows["u_gain"].to_numpy(float)
             # On a logarithmic axis a bar may not reach 0.
             low = np.minimum(u_gain, 0.95 * gain)

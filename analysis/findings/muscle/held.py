@@ -11,7 +11,6 @@ import numpy as np
 
 from analysis.figures.wording import with_u
 from analysis.findings.findings import (
-    BARS,
     EXPANDED,
     NO_POINT,
     Analysis,
@@ -22,6 +21,7 @@ from analysis.findings.findings import (
 )
 from analysis.layouts.muscle import held_layout
 from analysis.reduction.muscle.time_laws import (
+    PLAIN,
     TimeLaw,
     best_law,
     fit_rate,
@@ -48,6 +48,10 @@ AUTOCORRELATION = (
     " residuals, times the square root of their integrated autocorrelation time tau (in points), so"
     " that n points count as n/tau; to it the gain of the calibration is added. The deviation of"
     " the measured pressure from its set-point is a second variable of each fit."
+)
+NOISE_BARS = (
+    "Bars: expanded uncertainty from noise alone, k = 2, if larger than the marker; what the"
+    " calibration adds is common to all points."
 )
 CHOICE = (
     "The law is the simplest whose AICc is within 2 of the least, of: no change, a line over the"
@@ -127,16 +131,20 @@ def held_findings(quantity: Quantity, run: Run, reduction: Reduction) -> Finding
         ("first", f"first, {unit}"), ("rate", f"slope, {unit}/decade"),
         ("share", "slope, %/decade"), ("tau", "tau, points"),
     )  # fmt: skip
-    laws = (
+    laws: tuple[tuple[str, str], ...] = (
         ("slot", "held"), ("repeat", "repeat"), ("law", "law"), ("level", f"level, {unit}"),
         ("a1", f"slope or first amplitude, {unit}"), ("t1", "time constant, s"),
-        ("a2", f"second amplitude, {unit}"), ("t2", "time constant, s"), ("over", "AICc less next"),
+        ("a2", f"second amplitude, {unit}"), ("t2", "time constant, s"),
+        ("over", "AICc minus that of the next law"),
     )  # fmt: skip
+    names = [name for name, _ in laws]
+    used = [name for name in names if any(row[name] == row[name] for row in chosen)]
+    laws = tuple(column for column in laws if column[0] in used)  # a constant has a level alone
     sections = [
         Section(
             f"{quantity.label.split(' (')[0].capitalize()} while held",
             figure=lambda: _figure(trials, quantity),
-            caption=f"Lines: the law that was chosen. {BARS} Below: distance from the law.",
+            caption=f"Lines: the law that was chosen. {NOISE_BARS} Below: distance from the law.",
         ),
         Section(
             "Slope over the logarithm of time", (AUTOCORRELATION,), pd.DataFrame(rows), columns,
@@ -156,7 +164,7 @@ def held_findings(quantity: Quantity, run: Run, reduction: Reduction) -> Finding
     points = tuple(column for column in points if table[column[0]].notna().any())
     sections.append(Section("Points", (), table, points, caption=f"{EXPANDED}."))
     data = {"trials": rows, "laws": chosen, "points": records(table)}
-    return Findings(_headline(rows, quantity), tuple(sections), data)
+    return Findings(held_headline(rows, quantity), tuple(sections), data)
 
 
 def _row(trial: HeldTrial, quantity: Quantity, calibration: Calibration | None) -> dict[str, Any]:
@@ -200,21 +208,33 @@ def _chosen(trial: HeldTrial, calibration: Calibration | None) -> dict[str, Any]
     return row
 
 
-def _headline(rows: list[dict[str, Any]], quantity: Quantity) -> str:
+def held_headline(rows: list[dict[str, Any]], quantity: Quantity) -> str:
+    """The largest change in one sentence; none where the laws that were chosen are constant."""
     known = [row for row in rows if math.isfinite(row["rate"])]
     if not known:
         return "Too few points were measured for a slope over the logarithm of time."
     what = quantity.label.split(" (")[0]
-    moved = [row for row in known if abs(row["rate"]) > 2.0 * row["u_rate"]]
+    moved = [row for row in known if _moves(row)]
     if not moved:
-        most = max(abs(row["rate"]) + 2 * row["u_rate"] for row in known)
-        return f"No change of the {what} was found: below {most:.2g} {quantity.unit} per decade."
+        most, slot = max((abs(row["rate"]) + 2 * row["u_rate"], row["slot"]) for row in known)
+        return (
+            f"No change of the {what} was found: it is below {most:.2g} {quantity.unit} per decade"
+            f" of time (k = 2; {slot})."
+        )
     largest = max(moved, key=lambda row: abs(row["rate"]))
+    trials = "1 trial" if len(known) == 1 else f"{len(known)} trials"
     return (
-        f"The {what} {quantity.verb} by up to {with_u(largest['rate'], largest['u_rate'])}"
-        f" {quantity.unit} per decade of time (k = 2; {largest['slot']}), found in"
-        f" {len(moved)} of {len(known)} trials."
+        f"The {what} {quantity.verb}: by {with_u(largest['rate'], largest['u_rate'])}"
+        f" {quantity.unit} per decade of time at most (k = 2; {largest['slot']}), found in"
+        f" {len(moved)} of {trials}."
     )
+
+
+def _moves(row: dict[str, Any]) -> bool:
+    """Whether the law chosen for a trial changes; without a law, whether the slope does."""
+    if row["law"] is not None:
+        return bool(row["law"] != PLAIN)
+    return bool(abs(row["rate"]) > 2.0 * row["u_rate"])
 
 
 def _figure(trials: list[HeldTrial], quantity: Quantity) -> Figure:
@@ -238,7 +258,7 @@ def _figure(trials: list[HeldTrial], quantity: Quantity) -> Figure:
             t, y = rows["after_s"].to_numpy(float), rows[quantity.column].to_numpy(float)
             bars = COVERAGE * rows[f"u_{quantity.column}_noise"].to_numpy(float)
             look = {"fmt": marker(k), "color": colour, "markersize": 3.4, "elinewidth": 0.7}
-            top.errorbar(t, y, yerr=bars, label=f"{trial.slot}, {trial.repeat}", **look)
+            top.errorbar(t, y, yerr=bars, label=f"{trial.slot}, repeat {trial.repeat}", **look)
             if (best := trial.best) is not None:
                 fine = np.geomspace(t.min(), t.max(), 200)
                 top.plot(fine, best.at(fine), color=colour, linewidth=1.0)

@@ -65,7 +65,7 @@ def blocked_force_findings(run: Run, reduction: Reduction) -> Findings:
     words = (
         f"The length was held at the stated slack length L0 = {l0_mm:g} mm{seen}. The line is"
         f" fitted to all settled points above {100 * RISEN:g} % of the largest force, of all"
-        " replicates and both directions. Threshold: where the line has no force.",
+        " repeats and both directions. Threshold: where the line has no force.",
     )
     sections = [
         Section(
@@ -87,10 +87,11 @@ def blocked_force_findings(run: Run, reduction: Reduction) -> Findings:
     sections += [*hysteresis, _points(table, ("force_n", "force, N"))]
     headline = (
         f"At L0 = {l0_mm:g} mm and {top['pressure_kpa']:.1f} kPa the blocked force is"
-        f" {top['force_n']:.2f} ± {2 * top['u_force_n']:.2g} N (k = 2)"
+        f" {with_u(top['force_n'], top['u_force_n'])} N (k = 2)"
     )
     if row:
-        headline += f"; it rises by {1e3 * row['slope_n_kpa']:.1f} mN/kPa"
+        slope = with_u(row["slope_n_kpa"], row["u_slope_n_kpa"])
+        headline += f"; it rises by {slope} N/kPa"
     data = {
         "rest_length_mm": l0_mm, "force_n": float(top["force_n"]),
         "u_force_n": float(top["u_force_n"]), "pressure_kpa": float(top["pressure_kpa"]),
@@ -258,7 +259,7 @@ def _hysteresis(cycles: list[Cycle], unit: str) -> tuple[list[Section], list[dic
     if not rows:
         return [], rows
     words = (
-        "The value at rising less that at falling pressure, corrected to the set pressures; the"
+        "The value at rising minus that at falling pressure, corrected to the set pressures; the"
         " area is that of the loop.",
     )
     columns = (
@@ -296,7 +297,7 @@ def _curves(table: pd.DataFrame, value: str, label: str, line: Line | None) -> F
             axes.plot(x, line.at(x), color=QUIET, linewidth=0.9, linestyle="-.")
         directions_legend(axes, "upper left")
 
-    return curves_figure(len(repeats), "pressure (kPa gauge)", label, "replicate", draw)
+    return curves_figure(len(repeats), "pressure (kPa gauge)", label, "repeat", draw)
 
 
 BLOCKED_FORCE = Analysis(

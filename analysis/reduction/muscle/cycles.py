@@ -59,7 +59,7 @@ def reduce_fatigue(run: Run) -> Reduction:
     pressure, force, length = (calibrations[name] for name in names)
     count = len(raw["cycle"])
     started = run.manifest["started"]
-    mass_kg = float((run.manifest.get("parameters") or {}).get("mass_kg") or 0.0)
+    mass_kg = _hung_kg(run)
     out: dict[str, Array] = {name: np.full(count, math.nan) for name in COLUMNS[6:]}
     out["utc_s"] = (raw["host_ns"] - started["monotonic_ns"] + started["wall_ns"]) * 1e-9
     for end in ("high", "low", "max", "min"):
@@ -70,7 +70,7 @@ def reduce_fatigue(run: Run) -> Reduction:
         out["force_max_n"], out["force_min_n"] = out["force_min_n"], out["force_max_n"]
     for end in ("high", "low"):
         out[f"length_{end}_mm"] = np.asarray(length.apply(raw[f"length_{end}"]))
-    out["leak_kpa_s"] = raw["leak_counts_s"] * abs(pressure.scale)
+    out["leak_kpa_s"] = raw["leak_counts_s"] * pressure.scale  # a loss is positive
     thermometer = run.instrument_calibrations.get("thermometer")
     warm = raw["temperature"]
     out["temperature_c"] = np.asarray(warm if thermometer is None else thermometer.apply(warm))
@@ -92,6 +92,13 @@ def reduce_fatigue(run: Run) -> Reduction:
     if lost := run.lost_rows(STREAM):
         notes.append(f"{sum(b - a for a, b in lost)} cycles are damaged in the record, left out")
     return without_excluded(run, Reduction(table, tuple(notes), calibrations))
+
+
+def _hung_kg(run: Run) -> float:
+    """What hung, which a person may have typed, or else what was requested; 0 without a load."""
+    asked = float((run.manifest.get("parameters") or {}).get("mass_kg") or 0.0)
+    hung = [float(e["mass_kg"]) for e in run.events if e.get("kind") == "load" and e["mass_kg"]]
+    return hung[0] if asked and hung else asked
 
 
 def _uncertainties(

@@ -59,6 +59,8 @@ ACROSS_S = 3e-3
 SET_PRESSURE, PRESSURE_FORCE, PRESSURE_LENGTH = (
     "set-point to pressure", "pressure to force", "pressure to length",
 )  # fmt: skip
+GAIN_UNITS = {SET_PRESSURE: "kPa/kPa", PRESSURE_FORCE: "N/kPa", PRESSURE_LENGTH: "mm/kPa"}
+"""Unit of the gain of each pair of signals."""
 
 
 @dataclass(frozen=True)

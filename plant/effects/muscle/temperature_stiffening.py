@@ -52,7 +52,7 @@ TEMPERATURE_STIFFENING = Effect(
     "force at the same pressure and length changes with temperature",
     (
         Parameter("percent_per_k", "%/K", "change of force at 500 kPa", -5, 5),
-        Parameter("reference_c", "degC", "temperature of no change", -20, 80, TEMPERATURE_C),
+        Parameter("reference_c", "°C", "temperature of no change", -20, 80, TEMPERATURE_C),
         Parameter("flat_share", "", "part that does not grow with pressure", 0, 1, 0.0),
     ),
     "everything at one temperature; valve timing",

@@ -15,7 +15,7 @@ from rigs.devices.instruments.text import TextInstrument
 from rigs.rigfile.form import GRAMS
 
 DEVICE_TIME = {"device_us": "int64", "boot": "uint16"}
-"""Columns of a cell on the controller beside those of a balance."""
+"""Columns of a load cell on the controller beside those of a balance."""
 
 
 class LoadCell:

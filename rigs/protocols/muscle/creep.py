@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 from analysis.findings.muscle.held import CREEP
 from rigs.execution.procedure import Procedure
@@ -39,11 +40,10 @@ class Creep(MethodParameters):
         settings = [(mass, p) for mass in self.masses_kg for p in self.pressures_kpa]
         for place, (mass, pressure) in self.method.trials(settings):
             yield from book.remount(place)
-            slot = f"{mass:g} kg, {pressure:g} kPa"
-            held = (("load_kg", mass), ("held_pressure_kpa", pressure))
-            yield from book.begin(place, slot, "creep", held)
-            hung = yield HangLoad(mass)
-            hung = mass if hung is None else float(hung)
+            place, slot, hung = yield from book.begin_hung(
+                place, mass, partial(_slot, pressure), "creep",
+                (("held_pressure_kpa", pressure),),
+            )  # fmt: skip
             yield Dwell(self.recover_s)
             yield Zero(book.trial, "before", self.method.zero_s)
             hold = Hold(book.trial, pressure, self.method.settle)
@@ -52,6 +52,10 @@ class Creep(MethodParameters):
             yield from book.end()
         yield State("done")
         yield HangLoad(0.0)
+
+
+def _slot(pressure_kpa: float, mass_kg: float) -> str:
+    return f"{mass_kg:.10g} kg, {pressure_kpa:g} kPa"
 
 
 def read(name: str, config: RigConfig) -> Creep:

@@ -68,21 +68,23 @@ class Dynamic(MethodParameters):
     def steps(self) -> Steps:
         """The method: at each mean and amplitude the sines, then the sweeps."""
         book = Logbook(self.method, "dynamic", self.slack_length_mm)
+        hung = self.mass_kg
         if self.mass_kg:
             yield State("load")
-            yield HangLoad(self.mass_kg)
+            answer = yield HangLoad(self.mass_kg)
+            hung = hung if answer is None else float(answer)
         yield from book.opening(None if self.mass_kg else self.length_mm)
         settings = [(mean, size) for mean in self.means_kpa for size in self.amplitudes_kpa]
         for place, (mean, size) in self.method.trials(settings):
             yield from book.remount(place)
-            yield from self._trial(book, place, mean, size)
+            yield from self._trial(book, place, mean, size, hung)
         yield State("done")
         if self.mass_kg:
             yield HangLoad(0.0)
 
-    def _trial(self, book: Logbook, place: Place, mean: float, size: float) -> Steps:
+    def _trial(self, book: Logbook, place: Place, mean: float, size: float, hung: float) -> Steps:
         slot = f"{mean:g} ± {size:g} kPa"
-        held = ("load_kg", self.mass_kg) if self.mass_kg else ("held_length_mm", self.length_mm)
+        held = ("load_kg", hung) if self.mass_kg else ("held_length_mm", self.length_mm)
         yield from book.begin(place, slot, "dynamic", (held, ("held_pressure_kpa", mean)))
         if not self.mass_kg:
             yield from book.tared()
@@ -91,7 +93,7 @@ class Dynamic(MethodParameters):
         yield SetPressure(mean)
         yield Settle(self.method.settle, mean)
         named = (
-            ("mass_kg", self.mass_kg) if self.mass_kg else ("set_length_mm", self.length_mm),
+            ("mass_kg", hung) if self.mass_kg else ("set_length_mm", self.length_mm),
         )  # fmt: skip
 
         def excitation(

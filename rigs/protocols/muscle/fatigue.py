@@ -58,12 +58,14 @@ class Fatigue(MethodParameters):
     def part(self, first: int, trial: int) -> Steps:
         """Opening, tare, and the cycles from ``first`` on, as one trial."""
         book = Logbook(self.method, "fatigue", self.slack_length_mm, trial=trial - 1)
+        hung = self.mass_kg
         if self.mass_kg:
             yield State("load")
-            yield HangLoad(self.mass_kg)
+            answer = yield HangLoad(self.mass_kg)
+            hung = hung if answer is None else float(answer)
         yield from book.opening(None if self.mass_kg else self.length_mm)
         place = Place(self.method.mountings[0], 1, True)
-        held = ("load_kg", self.mass_kg) if self.mass_kg else ("held_length_mm", self.length_mm)
+        held = ("load_kg", hung) if self.mass_kg else ("held_length_mm", self.length_mm)
         yield from book.begin(place, f"cycles from {first}", "fatigue", (held,))
         if not self.mass_kg:
             yield from book.tared()
@@ -74,7 +76,7 @@ class Fatigue(MethodParameters):
             for number in range(first, self.cycles + 1):
                 leak = self.leak.every and number % self.leak.every == 0
                 reason = yield Cycle(
-                    log, number, self.low_kpa, self.high_kpa, 1.0 / self.rate_hz, self.mass_kg,
+                    log, number, self.low_kpa, self.high_kpa, 1.0 / self.rate_hz, hung,
                     self.leak.hold_s if leak else 0.0,
                 )  # fmt: skip
                 if reason:

@@ -5,13 +5,14 @@ Each is a stretch of laboratory method, top to bottom; the protocols put them in
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from rigs.protocols.parts.method import Method
-from rigs.steps.custom_step import Steps
+from rigs.steps.custom_step import Step, Steps
 from rigs.steps.loads import HangLoad, LowerLoad
 from rigs.steps.mounting import Remount
 from rigs.steps.schedule import Place, path
@@ -56,6 +57,8 @@ class Logbook:
     trial: int = 0
     order: int = 0
     rng: np.random.Generator = field(init=False)
+    _made: set[tuple[str, int]] = field(init=False, default_factory=set)
+    _hung: tuple[float, float] = field(init=False, default=(0.0, 0.0))
 
     def __post_init__(self) -> None:
         self.rng = np.random.default_rng([self.method.seed, 2])
@@ -142,14 +145,15 @@ class Logbook:
         self, place: Place, mass_kg: float, points: Path, top_kpa: float | None = None
     ) -> Steps:
         """A load hung, the pressure stepped, the length read by the camera (4.6.2, 4.8.3)."""
-        name = f"M{mass_kg:g}" + (f" to {top_kpa:g} kPa" if top_kpa else "")
-        yield from self.begin(place, name, "isotonic", (("load_kg", mass_kg),))
-        hung = yield HangLoad(mass_kg)
-        hung = mass_kg if hung is None else float(hung)
+
+        def name(mass_kg: float) -> str:
+            return f"M{mass_kg:.10g}" + (f" to {top_kpa:g} kPa" if top_kpa else "")
+
+        place, slot, hung = yield from self.begin_hung(place, mass_kg, name, "isotonic")
         yield Zero(self.trial, "before", self.method.zero_s)
         for direction, pressure in points:
             yield LowerLoad() if pressure < VENTED_KPA else SetPressure(pressure)
-            yield from self.point(place, name, direction, pressure, mass_kg=hung, top_kpa=top_kpa)
+            yield from self.point(place, slot, direction, pressure, mass_kg=hung, top_kpa=top_kpa)
         yield LowerLoad()
         yield from self.end()
 
@@ -163,11 +167,50 @@ class Logbook:
         warm = ""
         if self.temperature_c is not None:
             held = (*held, ("temperature_c", self.temperature_c))
-            warm = f" at {self.temperature_c:g} degC"
+            warm = f" at {self.temperature_c:g} °C"
         yield State(f"trial {self.trial}: {in_words(slot)}{warm}, replicate {place.replicate}")
         yield Trial(
             self.trial, slot + warm, place.replicate, self.trial, place.mounting, protocol, held
         )
+
+    def begin_hung(
+        self,
+        place: Place,
+        mass_kg: float,
+        name: Callable[[float], str],
+        protocol: str,
+        held: tuple[tuple[str, float], ...] = (),
+    ) -> Generator[Step, Any, tuple[Place, str, float]]:
+        """A trial begins and its load is hung: (place, slot, what hangs in kg).
+
+        Where a person hung another mass than requested, the trial begins again as one of that
+        mass, so that it is no replicate of those with the requested one. No two trials of a test
+        have the same slot and replicate.
+
+        Args:
+            place: where the trial stands in the test.
+            mass_kg: what is requested.
+            name: the slot of a mass.
+            protocol, held: as for :meth:`begin`; the load is added.
+        """
+        there = self._hung[1] if self._hung[0] == mass_kg else mass_kg
+        place, slot = self._free(place, name(there)), name(there)
+        yield from self.begin(place, slot, protocol, (("load_kg", there), *held))
+        answer = yield HangLoad(mass_kg)
+        hung = there if answer is None else float(answer)
+        self._hung = mass_kg, hung
+        if hung != there:
+            self.trial -= 1
+            place, slot = self._free(place, name(hung)), name(hung)
+            yield from self.begin(place, slot, protocol, (("load_kg", hung), *held))
+        self._made.add((slot, place.replicate))
+        return place, slot, hung
+
+    def _free(self, place: Place, slot: str) -> Place:
+        """The place, with a later replicate where this one of the slot was made already."""
+        while (slot, place.replicate) in self._made:
+            place = replace(place, replicate=place.replicate + 1)
+        return place
 
     def tared(self) -> Steps:
         """Slacken, breathe, vent, tare: the tare is one at no pressure."""
@@ -200,7 +243,7 @@ class Logbook:
         answer = yield Settle(self.method.settle, pressure_kpa)
         settled, waited = answer if answer is not None else (True, 0.0)
         self.order += 1
-        warm = "" if self.temperature_c is None else f" at {self.temperature_c:g} degC"
+        warm = "" if self.temperature_c is None else f" at {self.temperature_c:g} °C"
         yield Measure(
             trial=self.trial,
             slot=slot + warm,

@@ -164,7 +164,7 @@ def _calibration(t: Table, quantity: str, chip: str, serial: str) -> Calibration
 
 
 def net_grams(cell: Calibration) -> tuple[float, Calibration]:
-    """A cell on the controller as a source of force that is tared: grams a count, g to N.
+    """A load cell on the controller as a force sensor that is tared: grams a count, g to N.
 
     A test tares it, so that only its scale counts; what is uncertain about zero stays.
     """

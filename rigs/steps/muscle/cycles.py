@@ -78,7 +78,7 @@ class Limits:
 
     Attributes:
         drop_percent: fall of the force range (of the stroke under a load) below its reference.
-        leak_kpa_s: largest loss with both valves shut.
+        leak_kpa_s: largest loss with both valves shut; a rise is a negative loss.
         reach_kpa: the high pressure is missed by more than this.
         confirm: in so many cycles in a row.
     """
@@ -303,7 +303,7 @@ class Cycle(CustomStep):
         return gap.pixels if gap.trusted else math.nan
 
     def _leak(self, runner: StepContext) -> float:
-        """Loss with both valves shut, in counts/s; NaN in cycles without the check."""
+        """Counts with both valves shut, their fall in counts/s; NaN in cycles without the check."""
         if not self.leak_s:
             return math.nan
         rig = runner.rig
@@ -345,7 +345,7 @@ class Cycle(CustomStep):
 
     def _judged(self, runner: StepContext, row: dict[str, float]) -> str:
         cal = runner.rig.config.calibrations
-        scale = abs(cal["pressure_kpa"].scale)
+        scale = cal["pressure_kpa"].scale
         if self.mass_kg:
             reader = runner.rig.length_reader
             factor = (

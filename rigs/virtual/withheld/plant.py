@@ -145,6 +145,10 @@ class WithheldPlant(BenchSim):
             self.shown = self.live.step(seconds, 0, vent, length_mm=length_mm, load_kg=0.0)
             self._show()
 
+    def lead_to(self, length_mm: float) -> None:
+        """The same: it takes its time in any case."""
+        self.set_length(length_mm)
+
     def set_length_rate(self, rate_mm_s: float) -> None:
         """Move the stage at a steady rate."""
         self.state[LENGTH_RATE] = rate_mm_s * 1e-3
