@@ -49,7 +49,6 @@ class Desk:
         shim.parent.mkdir()
         shim.write_text(f'#!/bin/sh\nexec {sys.executable} -m cli.main "$@"\n')
         shim.chmod(0o755)
-        (folder / "configs").symlink_to(HOUSE / "configs")
         self.environment = {
             **os.environ,
             "PATH": f"{shim.parent}{os.pathsep}{os.environ['PATH']}",
