@@ -35,7 +35,7 @@ made:
   {thesis / "derived" / "report.html"}
   (open both in a browser; table.csv and samples.parquet are in the same folders)
 
-next steps (in a clone after `source .venv/bin/activate`):
+next steps (if `pamrig` is not found: first `source .venv/bin/activate`):
   pamrig runs list --runs {root}
   pamrig view {virtual}        the whole test in the viewer
   pamrig isometric --live         the same test in the live view

@@ -27,6 +27,12 @@ from cli.protocols.protocols import add_protocols
 from cli.sections import SectionedGroup, start_text
 from cli.simulate.simulate import add_studies, simulate
 
+USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[2]
+"""Every error of a command line: the base of typer's, which exports only its leaves."""
+
+NEAR = " (Possible options: "
+"""How typer begins a list of similar options."""
+
 HELP = {"help_option_names": ["-h", "--help"]}
 
 app = typer.Typer(
@@ -121,7 +127,12 @@ def main() -> None:
 
     with plain_output():
         try:
-            command_line()(standalone_mode=True)
+            status = command_line()(prog_name="pamrig", standalone_mode=False)
+        except USAGE_ERROR as error:
+            sys.exit(_refuse(error))
+        except typer.Abort:  # a question, and an input that ended
+            typer.echo("pamrig: stopped", err=True)
+            sys.exit(1)
         except (PamrigError, PlantError) as error:
             typer.echo(printable(f"pamrig: {error}"), err=True)
             sys.exit(2)
@@ -130,6 +141,29 @@ def main() -> None:
             sys.exit(130)
         except BrokenPipeError:
             sys.exit(1)
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _refuse(error: Any) -> int:
+    """Say in one line what is wrong with a command line, and where its options are listed.
+
+    A group without a command prints its help, as it would with --help.
+    """
+    context = getattr(error, "ctx", None)
+    path = context.command_path if context is not None else "pamrig"
+    if type(error).__name__ == "NoArgsIsHelpError":
+        typer.echo(error.format_message(), err=True)
+        return 2
+    what = " ".join(error.format_message().split()).rstrip(".")
+    if what.endswith(")") and NEAR in what:
+        what = what[:-1].replace(NEAR, "; similar: ")
+    what = what[:1].lower() + what[1:]
+    where = path.removeprefix("pamrig").strip()
+    line = f"pamrig: {where}{': ' if where else ''}{what} ({path} --help shows how it is used)"
+    from daq.errors import printable
+
+    typer.echo(printable(line), err=True)
+    return 2
 
 
 if __name__ == "__main__":

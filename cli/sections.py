@@ -84,7 +84,8 @@ def _next_steps(runs: Iterable[RunInfo], folder: Path) -> list[str]:
     if not tests:
         return [f"There are no tests in {folder} yet. Begin with", "", *_commands(NO_RUNS)]
     last = tests[-1]
-    text = f"The last of {len(tests)} tests in {folder} is {last.run_id}: {last.outcome}. Next:"
+    which = f"last of {len(tests)} tests" if len(tests) > 1 else "only test"
+    text = f"The {which} in {folder} is {last.run_id}: {last.outcome}. Next:"
     steps = FINISHED if last.outcome == "clean" else INTERRUPTED
     return [text, "", *_commands(steps)]
 

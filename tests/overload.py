@@ -212,18 +212,18 @@ def campaign(
 PAGE = """# Runs on a busy computer
 
 {runs} isometric tests in real time over pseudo-terminals, {side} side by side, while {busy}
-processes use up a computer with {processors} processors. The shortest test took
-{shortest_s:.0f} s. The load average over five minutes, at the end of each test, was
+processes take all the time they can get of a computer with {processors} processors. The shortest
+test took {shortest_s:.0f} s. The load average over five minutes, at the end of each test, was
 {load_low:.1f} to {load_high:.1f}. Each test has a simulated bench of its own, which stands for
-hardware and has a higher priority. The tests themselves {privilege}.
+hardware and therefore has a higher priority. The tests themselves {privilege}.
 Measured on {date} with
 
     python -m tests.overload {options}
 
 | | |
 |---|---|
-| `host_silent` | {silent} |
-| clean | {clean} |
+| tests that ended `host_silent` | {silent} |
+| tests that ended clean | {clean} |
 | samples missing | {missing} |
 | heartbeat late, at most | {heartbeat_ms:.1f} ms, 99 % below {heartbeat_p99_ms:.1f} ms |
 | ports read late, at most | {reading_ms:.1f} ms, 99 % below {reading_p99_ms:.1f} ms |
@@ -231,16 +231,17 @@ Measured on {date} with
 | program late, at most | {program_ms:.0f} ms, 99 % below {program_p99_ms:.0f} ms |
 | priority granted | heartbeat {priority} |
 
-The controller waits 300 ms for a heartbeat, which is sent every 100 ms. Before a process of its own
-sent it, two of two runs ended `host_silent` within 15 s, also beside 8 such processes. That is no
-strict comparison: the benches then had a lower priority and were late themselves by up to 279 ms.
+A test ends `host_silent` when the controller vents because no heartbeat has come for 300 ms. A
+heartbeat is sent every 100 ms, by a process of its own. Before there was this process, two of two
+tests beside 8 such processes ended `host_silent` within 15 s. That is no strict comparison: the
+benches then had a lower priority and were late themselves by up to 279 ms.
 
-In ms: *heartbeat*, *reading*, *program*: how late their threads were; *under way*: from a sample
-to the arrival of its frame. The kernel delivers the bytes of a pseudo-terminal in threads of
-ordinary priority; a heartbeat to the simulated controller waits for them too. A real controller on
-USB gets its heartbeats without them.
+The columns *heartbeat*, *reading* and *program* state how late each of these threads was, at most;
+*under way* is the longest time from a sample to the arrival of its frame. The kernel delivers the
+bytes of a pseudo-terminal in threads of ordinary priority. A heartbeat to the simulated controller
+waits for these threads, too; one to a real controller on USB does not.
 
-| outcome | points | duration (s) | heartbeat | reading | program | under way (ms) | reason |
+| outcome | points | s | heartbeat (ms) | reading (ms) | program (ms) | under way (ms) | reason |
 |---|---|---|---|---|---|---|---|
 {rows}
 """
@@ -265,7 +266,7 @@ def page(done: list[OneRun], given: argparse.Namespace, begin: datetime) -> str:
         shortest_s=min(one.duration_s for one in done),
         load_low=min(one.load for one in done), load_high=max(one.load for one in done),
         processors=os.cpu_count(), date=f"{begin:%Y-%m-%d}",
-        privilege="may raise their priority" if given.privileged else "may not raise theirs",
+        privilege=f"were {'' if given.privileged else 'not '}allowed to raise their priority",
         options=f"--runs {given.runs} --side-by-side {given.side_by_side}"
         f" --minutes {given.minutes:g} --busy {given.busy}"
         + (" --privileged" if given.privileged else ""),

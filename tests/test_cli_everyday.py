@@ -17,9 +17,10 @@ from analysis.formats.export import export_run
 from analysis.formats.importer import import_points
 from analysis.reporting.derived import derive_all
 from bench_runs import quick, run_isometric
-from cli.main import app
+from cli.main import app, main
 from cli.protocols.resume import continue_run
 from daq.clock import RealClock
+from daq.errors import ConfigError
 from daq.interrupt import StopFlag
 from daq.store.run import Run, open_run
 from daq.store.store import find_run, list_runs
@@ -159,3 +160,46 @@ def test_a_continued_test_is_shown_live(tmp_path: Path, capfd: pytest.CaptureFix
     ended = continue_run(open_run(begun.folder), live=True, browser=False)
     assert ended.outcome == "clean", ended.error
     assert "live view: " in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("frobnicate", "no such command 'frobnicate' (pamrig --help shows how it is used)"),
+        ("isometric --sed 3", "isometric: no such option: --sed"),
+        ("isometric --seed x", "isometric: invalid value for '--seed'"),
+        ("init protocol", "init protocol: missing argument 'test'"),
+        ("isometric extra", "isometric: got unexpected extra argument"),
+    ],
+)
+def test_a_wrong_command_line_is_one_line_and_status_2(
+    words: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["pamrig", *words.split()])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    out, err = capsys.readouterr()
+    assert ended.value.code == 2
+    assert out == ""
+    assert err.startswith(f"pamrig: {said}")
+    assert err.count("\n") == 1
+    assert "--help shows how it is used)" in err
+
+
+def test_a_group_without_a_command_prints_its_help(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["pamrig", "runs"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert "List all runs" in "".join(capsys.readouterr())
+
+
+@pytest.mark.parametrize("command", ["list", "find", "index"])
+def test_a_folder_of_runs_that_is_not_there_is_no_empty_list(command: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="nowhere: there is no such folder"):
+        CliRunner().invoke(
+            app, ["runs", command, "--runs", str(tmp_path / "nowhere")], catch_exceptions=False
+        )
+    assert not list(tmp_path.iterdir())

@@ -356,3 +356,42 @@ def test_an_interview_refuses_what_it_did_not_ask() -> None:
     ask.number("y", "y", 1.0, 0, 2)
     with pytest.raises(ConfigError, match=r"answers\.toml: x"):
         ask.finish()
+
+
+@pytest.mark.parametrize(
+    ("name", "source"),
+    [
+        ("virtual-weights", "rigs/virtual-weights"),
+        ("isotonic", "protocols/isotonic"),
+        ("configs/rigs/virtual.toml", "rigs/virtual"),
+        ("plant/links/finger", "plant/links/finger"),
+    ],
+)
+def test_a_shipped_file_is_copied_as_it_is(
+    name: str, source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = call_pamrig("init", "copy", name, "mine.toml")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == f"written: mine.toml, a copy of configs/{source}.toml\n"
+    shipped = (HOUSE / "configs" / f"{source}.toml").read_bytes()
+    assert (tmp_path / "mine.toml").read_bytes() == shipped
+    again = call_pamrig("init", "copy", "virtual", "mine.toml")
+    assert again.returncode == 2
+    assert "exists already" in again.stderr
+    assert (tmp_path / "mine.toml").read_bytes() == shipped
+    assert call_pamrig("init", "copy", "creep", "mine.toml", "--replace").returncode == 0
+    assert (tmp_path / "mine.toml").read_bytes() != shipped
+
+
+@pytest.mark.parametrize("name", ["finger", "virtual-wieghts", "../pyproject", "/etc/hosts", ""])
+def test_what_is_not_shipped_is_not_copied(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = call_pamrig("init", "copy", name, "mine.toml")
+    assert done.returncode == 2
+    assert done.stderr.startswith("pamrig: ")
+    assert "is shipped (" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())

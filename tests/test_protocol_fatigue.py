@@ -19,6 +19,7 @@ from analysis.findings.muscle.fatigue import fatigue_findings
 from analysis.reduction.muscle.energy import Air, State, cycle_energy, gas_work, loop_work
 from analysis.registry import analysis_of
 from analysis.reporting.derived import derive_all
+from analysis.reporting.report import render_report
 from analysis.run_table import reduce_run
 from cli.protocols.resume import continue_run
 from daq.errors import ConfigError
@@ -88,6 +89,9 @@ def test_every_cycle_is_counted_once_over_both_parts(parts: tuple[Run, Run]) -> 
     found = fatigue_findings(second, reduce_run(second))
     assert found.data["cycles"] == 34
     assert not found.data["failed"]
+    page = render_report(second).partition('new-page">Figures<')[0]
+    results = page.partition("<h2>Results: first and last cycles</h2>")[2]
+    assert "force range" in results.partition("</table>")[0], "page one has a table of results"
 
 
 def test_only_named_cycles_are_kept_at_full_rate(parts: tuple[Run, Run]) -> None:

@@ -15,7 +15,7 @@ from analysis.figures.drawing import STYLE
 from analysis.figures.wording import fixed, value_cell, with_u
 from analysis.findings.isotonic import curves_of, isotonic_findings
 from analysis.formats.importer import import_thesis
-from analysis.reporting.conditions import simulated
+from analysis.reporting.conditions import force_device, simulated
 from analysis.reporting.report import report_json, write_report
 from analysis.run_table import reduce_run
 from analysis_bench import write_run
@@ -215,3 +215,23 @@ def test_an_axis_states_its_values_in_full() -> None:
         figure.canvas.draw()
     assert axes.yaxis.get_offset_text().get_text() == ""
     assert any(label.get_text().startswith("100.1") for label in axes.get_yticklabels())
+
+
+def test_page_one_names_the_instruments_that_gave_results_and_no_others(tmp_path: Path) -> None:
+    """The load cell beside a balance, hygrometer and transmitter are recorded and not used."""
+    _, run, _ = run_short("isothermal", tmp_path)
+    page = write_report(run).read_text("utf-8")
+    table = page.partition("<h2>Instruments</h2>")[2].partition("</table>")[0]
+    rows = re.findall(r"<tr><td[^>]*>(.*?)</td><td[^>]*>.*?</td><td[^>]*>(.*?)</td>", table)
+    assert rows == [
+        ("Valve", "pressure"), ("Balance", "force"), ("Thermometer", "temperature"),
+        ("Stage", "(sets the length)"), ("Camera", "length"),
+    ]  # fmt: skip
+    assert "0.2 °C" in table
+    facts = page.partition('<table class="facts">')[2].partition("</table>")[0]
+    assert "21.0 ±" not in facts, "a test sets its temperatures itself"
+    assert "devices.hygrometer" in page, "all are under Provenance"
+
+
+def test_the_force_is_that_of_the_sensor_that_the_rig_file_names(hung: Run) -> None:
+    assert force_device(hung) == "load_cell"

@@ -52,6 +52,7 @@ class Findings:
         headline: the result in one sentence.
         sections: tables and figures in reading order.
         data: plain values for --json (tables as lists of rows).
+        page_one: tables for page one, of a test without results that are means of repeats.
         report_entries: if given, these are entries of the JSON report in place of ``data`` and
             the sections.
     """
@@ -60,6 +61,7 @@ class Findings:
     sections: tuple[Section, ...] = ()
     data: dict[str, Any] = field(default_factory=dict)
     report_entries: dict[str, Any] | None = None
+    page_one: tuple[Section, ...] = ()
 
 
 POINT_SETTINGS = (

@@ -120,10 +120,12 @@ def misfit_text(sizes: Misfit, model: Model) -> str:
     ]
     across = [p.name for p in model.parameters if p.name in ACROSS]
     if across:
-        state = "" if model.geometry else " State --rest-length-mm and --diameter-mm for it."
+        state = (
+            "" if model.geometry else " For a gas volume, state --rest-length-mm and --diameter-mm."
+        )
         lines.append(
-            f"A fit to force does not give the gas volume: {' and '.join(across)} must not be used "
-            f"for it.{state}"
+            f"A fit to force does not give the gas volume: do not calculate it from "
+            f"{' and '.join(across)}.{state}"
         )
     if model.pulls_only:
         lines.append("The model only pulls: where the law gives a negative force, the force is 0.")

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import tomllib
 from typing import TYPE_CHECKING, Any
 
 from analysis.findings.findings import Section
+from analysis.reduction.points import length_source, pressure_sensor
 from daq.store.info import on_virtual_bench
 
 if TYPE_CHECKING:
@@ -79,7 +82,38 @@ def _unused(run: Run, reduction: Reduction) -> set[str]:
     weighed = "force_n" not in table or not len(table) or not _by_mass(table)
     if not weighed and not tared:
         unused |= {"balance", "load_cell"} - checked
-    return unused
+    return unused | (_only_recorded(run, table, {str(e.get("device")) for _, e in kinds}) - checked)
+
+
+def _only_recorded(run: Run, table: Any, commanded: set[str]) -> set[str]:
+    """Instruments beside valve, stage, balance and camera whose readings no result contains."""
+    manifest = run.manifest
+    names = (manifest.get("parameters") or {}).get("instruments") or {}
+    used = {pressure_sensor(run), length_source(run), force_device(run), *map(str, names.values())}
+    air = (manifest.get("conditions") or {}).get("temperature_source")
+    found = set()
+    for name, calibration in run.instrument_calibrations.items():
+        quantity = calibration.quantity
+        if quantity == "temperature_c":
+            read = name == air
+        else:  # two sensors of one quantity: the table has the readings of one of them
+            read = quantity in table and quantity not in run.calibrations
+        if name not in used and not read:
+            found.add(name)
+    counters = (run.final or {}).get("counters") or {}
+    silent = {name for name, about in counters.items() if about == {"rows": 0}}
+    return found | (silent - commanded)
+
+
+def force_device(run: Run) -> str:
+    """The name of the instrument that reads the force, as the rig file states it."""
+    devices = run.manifest.get("devices") or {}
+    with contextlib.suppress(tomllib.TOMLDecodeError):
+        text = (run.manifest.get("rig") or {}).get("text") or ""
+        stated = tomllib.loads(str(text)).get("force_source")
+        if isinstance(stated, str) and stated in devices:
+            return stated
+    return "load_cell" if "load_cell" in devices and "balance" not in devices else "balance"
 
 
 def _by_mass(table: Any) -> bool:

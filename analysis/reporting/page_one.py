@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from analysis.figures.wording import column_decimals, fixed, written_decimals
 from analysis.reduction.points import length_source, pressure_sensor
-from analysis.reporting.conditions import conditions, instruments
+from analysis.reporting.conditions import conditions, force_device, instruments
 from analysis.reporting.results import (
     MOST,
     QUANTITIES,
@@ -38,6 +38,9 @@ NOTE_LONG = 170
 LISTED = 6
 """Values of a list that are named one by one; of longer ones only the ends and the number."""
 MEASURED = {"velocity_m_s": "air velocity", "torque_n_m": "torque"}
+SETS = {"stage": "(sets the length)"}
+"""What an instrument without readings of its own does."""
+UNIT_SIGNS = {"degC": "°C"}
 UNIT_WORDS = {"kpa": "kPa", "mm": "mm", "kg": "kg", "deg": "°", "c": "°C"}
 
 
@@ -165,7 +168,8 @@ def conditions_text(run: Run) -> str:
     """Temperature, gravity and leak of a test in words; a loss is positive."""
     stated = run.manifest.get("conditions") or {}
     words = []
-    if stated.get("temperature_c") is not None:
+    set_by_test = (run.manifest.get("parameters") or {}).get("temperatures_c")  # in the method
+    if stated.get("temperature_c") is not None and not set_by_test:
         u = stated.get("u_temperature_c")
         spread = f" ± {2.0 * float(u):.1f}" if u is not None else ""
         words.append(f"{fixed(float(stated['temperature_c']), 1)}{spread} °C")
@@ -190,9 +194,12 @@ def instrument_rows(run: Run, reduction: Reduction) -> list[dict[str, str]]:
         own = [q for q, device in device_of.items() if device.replace("_", " ") == name]
         for quantity in own:
             rows.append(_calibrated(name, identity, quantity, left.pop(quantity)))
-        if not own:
-            rows.append({"name": name, "identity": identity, "quantity": "", "calibration": "",
-                         "date": "", "u": ""})  # fmt: skip
+        beside = run.instrument_calibrations.get(name.replace(" ", "_"))
+        if not own and beside is not None:
+            rows.append(_calibrated(name, identity, beside.quantity, beside))
+        elif not own:
+            rows.append({"name": name, "identity": identity, "quantity": SETS.get(name, ""),
+                         "calibration": "", "date": "", "u": ""})  # fmt: skip
     unused = set(run.manifest.get("devices") or {})  # those used are in the table already
     return rows + [
         _calibrated("–", "", name, one)
@@ -203,12 +210,11 @@ def instrument_rows(run: Run, reduction: Reduction) -> list[dict[str, str]]:
 
 def _device(run: Run, quantity: str) -> str:
     """The name of the instrument that read a quantity."""
-    devices = run.manifest.get("devices") or {}
     names = (run.manifest.get("parameters") or {}).get("instruments") or {}
-    force = "load_cell" if "load_cell" in devices and "balance" not in devices else "balance"
     return str({
         "pressure_kpa": pressure_sensor(run) or "valve", "pressure_b_kpa": "valve_b",
-        "force_n": force, "length_mm": length_source(run) or "camera", "velocity_m_s": "flow",
+        "force_n": force_device(run), "length_mm": length_source(run) or "camera",
+        "velocity_m_s": "flow",
         "angle_deg": names.get("angle", ""), "torque_n_m": names.get("torque", ""),
     }.get(quantity, ""))  # fmt: skip
 
@@ -221,7 +227,7 @@ def _calibrated(name: str, identity: str, quantity: str, one: Calibration) -> di
         "quantity": quantity_words(quantity),
         "calibration": one.id or "no certificate named",
         "date": one.date or "no date stated",
-        "u": f"{one.u_offset:.3g} {one.unit}{gain}",
+        "u": f"{one.u_offset:.3g} {UNIT_SIGNS.get(one.unit, one.unit)}{gain}",
     }
 
 

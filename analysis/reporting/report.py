@@ -169,6 +169,7 @@ def render_report(run: Run, reduction: Reduction | None = None) -> str:
     data = report_json(run, reduction, findings)
     with contents_of(run):
         first = page_one(run, reduction, data, results, judged)
+        first["tables"] = [section_parts(section) for section in findings.page_one]
     parts = [section_parts(section) for section in findings.sections]
     html: str = (
         environment()

@@ -1,13 +1,15 @@
-"""`pamrig init` and `pamrig init protocol`: a rig file and a protocol file from questions."""
+"""`pamrig init`: a rig file or a protocol file from questions, or a copy of a shipped file."""
 
 from __future__ import annotations
 
 import contextlib
+import difflib
+import importlib.resources
 import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -18,6 +20,8 @@ from cli.output import print_json, writing
 from daq.errors import ConfigError
 
 if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
+
     from rigs.setup.questions import Interview
 
 YesOption = Annotated[
@@ -48,6 +52,7 @@ def add_init(app: typer.Typer) -> None:
     """Add the commands of `pamrig init`."""
     app.command("rig")(rig)
     app.command("protocol")(protocol)
+    app.command("copy")(copy)
 
 
 def rig(
@@ -138,6 +143,65 @@ def protocol(
         return
     typer.echo(f"written: {file}")
     typer.echo(f"next: pamrig {test} --protocol {file}" + (f" --rig {rig}" if rig else ""))
+
+
+def copy(
+    name: Annotated[
+        str, typer.Argument(help="Shipped rig or protocol; another file as FOLDER/NAME of configs.")
+    ],
+    file: Annotated[
+        Path | None, typer.Argument(help="File to write. Default: NAME.toml here.")
+    ] = None,
+    replace: Annotated[bool, typer.Option("--replace", help="Replace an existing file.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Copy a shipped file (a rig, a protocol, another file of `configs`), to change the copy."""
+    found = _shipped(name)
+    source = f"configs/{'/'.join(found.parts)}.toml"
+    file = file or Path(f"{found.name}.toml")
+    if file.exists() and not replace:
+        raise ConfigError(
+            str(file), "exists already, and stays as it is", "choose another name, or add --replace"
+        )
+    text = importlib.resources.files("configs").joinpath(*found.parts[:-1], f"{found.name}.toml")
+    with _written(file, text.read_text(encoding="utf-8")):
+        pass
+    if as_json:
+        print_json({"file": str(file), "source": source})
+    else:
+        typer.echo(f"written: {file}, a copy of {source}")
+
+
+def _shipped(name: str) -> PurePosixPath:
+    """The path in ``configs``, without its suffix, of a file by its path there or its name.
+
+    A bare name is that of a rig or a protocol, as it is in every other command.
+
+    Raises:
+        ConfigError: nothing of that name is shipped.
+    """
+    wanted = PurePosixPath(name.replace("\\", "/").removeprefix("./").removeprefix("configs/"))
+    wanted = wanted.with_suffix("") if wanted.suffix == ".toml" else wanted
+    there = dict.fromkeys(_toml_files(importlib.resources.files("configs"), PurePosixPath()))
+    for path in (wanted, "rigs" / wanted, "protocols" / wanted):
+        if path in there:
+            return path
+    near = difflib.get_close_matches(wanted.name, dict.fromkeys(path.name for path in there), 3)
+    alike = [str(path) for one in near for path in there if path.name == one]
+    raise ConfigError(
+        name,
+        "no rig, protocol or other file of that name is shipped",
+        f"similar: {', '.join(alike)}" if alike
+        else f"folders: {', '.join(sorted({str(path.parent) for path in there}))}",
+    )  # fmt: skip
+
+
+def _toml_files(folder: Traversable, where: PurePosixPath) -> Iterator[PurePosixPath]:
+    for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
+        if entry.is_dir():
+            yield from _toml_files(entry, where / entry.name)
+        elif entry.name.endswith(".toml"):
+            yield where / entry.name.removesuffix(".toml")
 
 
 def _interview(answers: Path | None, more: list[str] | None, silent: bool) -> Interview:

@@ -88,8 +88,8 @@ def _show(one: Imported, dry_run: bool) -> None:
         noise = f", noise {channel.noise:.2g}" if channel.noise is not None else ""
         gaps = f", {channel.gaps} gaps to {channel.longest_gap_s:.3g} s" if channel.gaps else ""
         typer.echo(
-            f"  {channel.name} from {channel.column} ({channel.unit}): {channel.low:.5g} to "
-            f"{channel.high:.5g}, {channel.samples} samples{rate}{noise}{gaps}"
+            f"  {channel.name} from {channel.column} (in {channel.unit}): now {channel.low:.5g} to "
+            f"{channel.high:.5g}{_unit(channel.name)}, {channel.samples} samples{rate}{noise}{gaps}"
         )
     for trial in one.trials[:SHOWN]:
         time = "settled points" if trial.duration_s is None else f"{trial.duration_s:.4g} s"
@@ -104,12 +104,20 @@ def _show(one: Imported, dry_run: bool) -> None:
         )
     if len(one.trials) > SHOWN:
         typer.echo(f"  ... and {len(one.trials) - SHOWN} more trials")
-    groups = [f"{slot} {count}" for slot, count in one.replicates.items() if count > 1]
+    groups = [f"{count} of slot {slot}" for slot, count in one.replicates.items() if count > 1]
     typer.echo(f"  replicates: {', '.join(groups[:SHOWN]) or 'none'}")
     if one.costs is not None:
         _show_costs(one.costs)
     for note in one.notes:
         typer.echo(f"  note: {note}")
+
+
+_UNITS = {"kpa": " kPa", "mm": " mm", "n": " N", "c": " °C", "kg": " kg", "s": " s"}
+
+
+def _unit(channel: str) -> str:
+    """The unit of a channel, by the end of its name; "" for commands and words."""
+    return _UNITS.get(channel.rpartition("_")[2], "")
 
 
 def _show_costs(costs: Costs) -> None:

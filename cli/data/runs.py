@@ -42,6 +42,7 @@ def list_all(runs: RunsOption = RUNS, as_json: JsonOption = False) -> None:
     """List all runs, oldest first."""
     from daq.store.store import list_runs
 
+    _folder_of_runs(runs)
     found = list_runs(runs)
     if as_json:
         print_json([info.as_dict() for info in found])
@@ -50,6 +51,19 @@ def list_all(runs: RunsOption = RUNS, as_json: JsonOption = False) -> None:
         typer.echo(f"no runs in {runs}")
         return
     _print_list(found)
+
+
+def _folder_of_runs(runs: Path) -> None:
+    """Refuse a folder that is not there: an empty list would look like an empty folder.
+
+    Raises:
+        ConfigError: it does not exist, or is no folder.
+    """
+    if not runs.is_dir():
+        what = "is not a folder" if runs.exists() else "there is no such folder"
+        raise ConfigError(
+            str(runs), what, "name the folder of your runs with --runs; a test makes it"
+        )
 
 
 def _print_list(found: list[RunInfo]) -> None:
@@ -197,6 +211,7 @@ def index(runs: RunsOption = RUNS, as_json: JsonOption = False) -> None:
     """Rebuild the index of a folder of runs; `list` and `find` use it afterwards."""
     from daq.store.index import rebuild_index
 
+    _folder_of_runs(runs)
     found = rebuild_index(runs)
     if as_json:
         print_json({"index": str(runs / "index.sqlite"), "runs": len(found)})
@@ -222,6 +237,7 @@ def find(
 
     _check_day("--since", since)
     _check_day("--until", until)
+    _folder_of_runs(runs)
     all_runs = list_runs(runs)
     _check_known("--protocol", protocol, {*PROTOCOLS, *(i.protocol for i in all_runs)})
     outcomes = {*OUTCOMES, INTERRUPTED, DAMAGED, *(i.outcome for i in all_runs)}

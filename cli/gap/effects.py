@@ -36,6 +36,7 @@ def effects(
     elif name:
         typer.echo(_page(entries[0]))
     else:
+        typer.echo(f"{'effect':24}{'stage':9}{'family':17}amount (unit)")
         for entry in entries:
             headline = f"{entry.headline} ({entry.unit or '1'})" if entry.headline else "-"
             typer.echo(f"{entry.id:24}{entry.stage:9}{entry.family:17}{headline}")

@@ -88,8 +88,8 @@ def _config(config: RigConfig) -> Iterator[Finding]:
         yield Finding(
             f"calibration {quantity}",
             "ok" if cal.date else "warn",
-            f"{cal.id}{made}, {cal.domain[0]:g} to {cal.domain[1]:g} {cal.unit}, "
-            f"u = {cal.u_offset:g} {cal.unit} + {cal.u_gain * 100:g} %",
+            f"{cal.id}{made}, {cal.domain[0]:.4g} to {cal.domain[1]:.4g} {cal.unit}, "
+            f"u = {cal.u_offset:.3g} {cal.unit} + {cal.u_gain * 100:.3g} %",
         )
     for late in due_calibrations(config):
         yield Finding(f"calibration of {late.device}", "warn", f"{late.text}: calibrate it again")

@@ -80,20 +80,22 @@ def calibrate_force(
         zeros: list[float] = []
 
         def method() -> None:
-            request(rig, "muscle off", 0.0, "kg", f"take the muscle off the {_sensor(rig)}")
+            text = f"take the muscle off the {_sensor(rig)} and leave nothing on it"
+            request(rig, "muscle off", 0.0, "kg", text)
             most = max(masses_kg)
             hangs = isinstance(rig.balance, LoadCell)
             loads = up_and_down(masses_kg)
             there = 0.0 if hangs else most
-            _hang(rig, there)
+            if there:  # nobody is asked to do what is done
+                _hang(rig, there, 0.0)
             _at_rest(rig)
             if isinstance(rig.balance, Balance):
                 record.event("tare", grams=rig.balance.tare())
             for number, mass in enumerate(loads, 1):
                 watch.state(f"calibrate force: {mass:g} kg, {number} of {len(loads)}")
                 load = mass if hangs else most - mass
-                if load != there:  # nobody is asked to do what is done
-                    _hang(rig, load)
+                if load != there:
+                    _hang(rig, load, there)
                 there = load
                 found = _weigh(rig, seconds)
                 if found is None:
@@ -101,13 +103,13 @@ def calibrate_force(
                     leave_out(record, watch, f"calibrate force, {mass:g} kg", name, mass_kg=mass)
                 else:
                     add_point(record, points, Point(*found, mass * gravity))
-            watch.state(f"calibrate force: {TARES} tares")
+            watch.state(f"calibrate force: {TARES} tares, to see how well one sets zero")
             for _ in range(TARES):
                 rig.balance.tare()
                 zeros.append(_weigh_net(rig, min(seconds, 1.0)))
                 record.event("tare_left", reading=zeros[-1])
             if there:
-                _hang(rig, 0.0)
+                _hang(rig, 0.0, there)
             request(rig, "muscle", 0.0, "kg", "mount the muscle again")
 
         carry_out(rig, record, method, stop)
@@ -127,9 +129,16 @@ def _sensor(rig: Rig) -> str:
     return "load cell" if isinstance(rig.balance, LoadCell) else "balance"
 
 
-def _hang(rig: Rig, mass_kg: float) -> None:
+def _hang(rig: Rig, mass_kg: float, there_kg: float) -> None:
+    """Ask for a load in place of another: a mass alone could mean the weight to add."""
     verb = "hang" if isinstance(rig.balance, LoadCell) else "put"
-    text = f"{verb} {mass_kg:g} kg on the {_sensor(rig)}" if mass_kg else "take all weights off"
+    if not mass_kg:
+        text = "take all weights off"
+    elif mass_kg < there_kg:
+        text = f"take weights off: leave {mass_kg:g} kg on the {_sensor(rig)}"
+    else:
+        in_all = " in all" if there_kg else ""
+        text = f"{verb} {mass_kg:g} kg{in_all} on the {_sensor(rig)}"
     request(rig, "dead weight", mass_kg, "kg", text)
 
 

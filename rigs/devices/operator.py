@@ -387,7 +387,9 @@ class ManualAxis:
 
     def _wording(self, value: float) -> str:
         if self.name == "mass":
-            what = f"hang {value:g} {self.unit} on the muscle and let it come to rest"
+            # A heavier load may be made by adding weights: the mass is that of all of them.
+            in_all = " in all" if self.settings and self.settings[-1].taken else ""
+            what = f"hang {value:g} {self.unit}{in_all} on the muscle and let it come to rest"
             return what if value else "take the load off the muscle"
         if self.name == "angle":
             return f"lock the joint at {value:g} {self.unit}"

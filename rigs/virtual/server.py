@@ -309,6 +309,8 @@ def serve_bench(
             typer.echo(f"{'camera':8} {server.camera.address}")
         typer.echo(f"rig file {server.rig_file}")
         test = "isometric" if config.joint is None else "joint-static"
+        until = f"for {seconds:g} s" if seconds > 0 else "until Ctrl-C"
+        typer.echo(f"the bench runs {until}; meanwhile, in another terminal")
         typer.echo(f"try:     pamrig {test} --rig {server.rig_file} --protocol {test}-short")
         end = time.monotonic() + seconds if seconds > 0 else float("inf")
         while not stop.reason and time.monotonic() < end:
@@ -316,7 +318,7 @@ def serve_bench(
             server.rest()
         late = server.lateness_ms()
         typer.echo(
-            f"1 kHz loop lateness: median {late['p50']:.2f} ms, p99.9 {late['p99.9']:.2f} ms, "
+            f"steps of 1 ms late by: median {late['p50']:.2f} ms, p99.9 {late['p99.9']:.2f} ms, "
             f"worst {late['worst']:.2f} ms"
         )
 

@@ -132,7 +132,15 @@ def fatigue_findings(run: Run, reduction: Reduction) -> Findings:
         "end": stop, "quantity": quantity.column, "drift": drift, "energy": ends["energy"],
         "points": records(shown),
     }  # fmt: skip
-    return Findings(_headline(table, quantity, drift, failure), tuple(sections), data)
+    first = Section(
+        "Results: first and last cycles", (), pd.DataFrame(rows), columns,
+        caption=f"First: mean of cycles {EARLY + 1} to {EARLY + COUNT}, as far as they were made"
+        f" (of a test of up to {EARLY} cycles: of these); last: mean of up to {LAST}. {EXPANDED}."
+        " How change and rate are calculated is under Details.",
+    )  # fmt: skip
+    return Findings(
+        _headline(table, quantity, drift, failure), tuple(sections), data, page_one=(first,)
+    )
 
 
 def _drift(table: pd.DataFrame, quantity: Quantity) -> tuple[dict[str, Any], TimeLaw | None]:
