@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from analysis.figures.timeline import broken, timeline_figure
-from analysis.figures.wording import column_decimals, ratio_unit
+from analysis.figures.wording import column_decimals, from_to, ratio_unit
 from analysis.findings.findings import Section
 from analysis.findings.isothermal import isothermal_headline
 from analysis.findings.muscle.held import LENGTH, held_headline
@@ -148,3 +148,19 @@ def test_lines_over_pressure_are_stated_for_the_pressures_that_were_measured() -
     lines = next(s for s in found.sections if s.title == "Straight lines in pressure")
     assert lines.table is not None
     assert set(lines.table["p"]) == {"< 0.001"}
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "decimals", "shown"),
+    [
+        (0.801, 0.804, 2, "0.80"),
+        (3.51, 4.31, 2, "3.51 to 4.31"),
+        (0.00041, 0.00068, None, "0.00041 to 0.00068"),
+        (-0.4712, -0.2, None, "−0.47 to −0.20"),
+        (0.0, 0.0, None, "0.00"),
+    ],
+)
+def test_a_range_has_the_digits_that_tell_its_ends_apart(
+    low: float, high: float, decimals: int | None, shown: str
+) -> None:
+    assert from_to(low, high, decimals) == shown

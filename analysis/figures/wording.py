@@ -110,6 +110,20 @@ def fixed(value: float | None, decimals: int) -> str:
     return f"{rounded:z.{max(decimals, 0)}f}".replace("-", "−")
 
 
+def from_to(low: float, high: float, decimals: int | None = None) -> str:
+    """A range, or one number where both ends read the same.
+
+    Args:
+        decimals: of both ends; by default as many as show two significant digits of the larger
+            one, two at least.
+    """
+    if decimals is None:
+        largest = max(abs(low), abs(high))
+        decimals = max(decimals_of(largest), 2) if largest > 0.0 else 2
+    ends = (fixed(low, decimals), fixed(high, decimals))
+    return ends[0] if ends[0] == ends[1] else f"{ends[0]} to {ends[1]}"
+
+
 def ratio_unit(unit: str, raw_unit: str) -> str:
     """The unit of a scale: "kPa/count"; "m/s per V"; none where a reading has the unit already."""
     if unit == raw_unit:

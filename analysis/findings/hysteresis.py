@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from analysis.figures.wording import from_to
 from analysis.findings.findings import (
     BARS,
     EXPANDED,
@@ -364,9 +365,9 @@ def _headline(rows: list[dict[str, Any]], kind: Kind) -> str:
         )
     low, high = (pick(row["mean"] for row in known) for pick in (min, max))
     return (
-        f"At rising pressure the {what} is {low:z.2f} to {high:z.2f} {unit} above that at falling"
+        f"At rising pressure the {what} is {from_to(low, high)} {unit} above that at falling"
         " pressure (means of the cycles)."
-    ).replace(" -", " −")
+    )
 
 
 def _differences(cycles: list[Cycle], kind: Kind) -> Section:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.figures.wording import p_text
+from analysis.figures.wording import from_to, p_text
 from analysis.findings.findings import (
     NO_POINT,
     VALVE_SETTINGS,
@@ -158,10 +158,10 @@ def _headline(lines: EdgeLines, unit: str, table: pd.DataFrame) -> str:
     for valve in ("inlet", "outlet"):
         if (valve, "on") in lines and (valve, "off") in lines:
             on, off = (lines[valve, edge].line for edge in ("on", "off"))
-            ends = [f"{line.at(p):.{decimals}f}" for line in (on, off) for p in span]
+            low, high = span
+            ends = [from_to(float(x.at(low)), float(x.at(high)), decimals) for x in (on, off)]
             parts.append(
-                f"the {valve} {verb} on {at} {ends[0]} to {ends[1]} {shown} and off {at}"
-                f" {ends[2]} to {ends[3]} {shown}"
+                f"the {valve} {verb} on {at} {ends[0]} {shown} and off {at} {ends[1]} {shown}"
             )
     if not parts:
         measured = "One point was" if len(table) == 1 else f"{len(table)} points were"
