@@ -41,7 +41,7 @@ def curves_of(others: dict[str, list[Any]]) -> Curves:
     return drawn
 
 
-def drawn_live(shown: Shown, layout: LiveLayout, path: Path) -> Curves:
+def drawn_live(shown: Shown, layout: LiveLayout, path: Path) -> dict[str, list[Any]]:
     """What the live view's own drawing makes of the results that a run handed to it."""
     import rerun as rr
 
@@ -53,7 +53,7 @@ def drawn_live(shown: Shown, layout: LiveLayout, path: Path) -> Curves:
         scene.points(POINTS, float(k), label, np.array([x]), np.array([y]))
     rec.flush(timeout_sec=60.0)
     rec.disconnect()
-    return curves_of(contents(path)[1])
+    return contents(path)[1]
 
 
 @pytest.mark.parametrize("name", TESTS)
@@ -65,7 +65,7 @@ def test_the_stored_view_has_the_points_of_the_live_view(name: str, tmp_path: Pa
 
     _, run, _ = run_short(name, tmp_path, begin=listen, **TESTS[name])
     layout = analysis_of(name).layout(run.manifest["parameters"])
-    live = drawn_live(shown, layout, tmp_path / "live.rrd")
+    live = curves_of(drawn_live(shown, layout, tmp_path / "live.rrd"))
     stored = curves_of(contents(build_view(run, tmp_path / "view.rrd", layout))[1])
     assert shown
     assert [f for f in report_json(run)["faults"] if f["kind"] == "result"] == []
@@ -75,13 +75,24 @@ def test_the_stored_view_has_the_points_of_the_live_view(name: str, tmp_path: Pa
         assert np.array_equal(stored[label], positions)
 
 
+def test_a_curve_for_comparison_is_drawn_but_is_no_result(tmp_path: Path) -> None:
+    """What the thesis measured, or a model says, is not in the table of this test's results."""
+    layout = analysis_of("flow").layout({"result_axis": ["air velocity (m/s)", 80.0]})
+    shown = [(200.0, 31.3, "measured"), (200.0, 30.2, "valve of the thesis")]
+    drawn = drawn_live(shown, layout, tmp_path / "live.rrd")
+    assert len(curves_of(drawn)) == 2
+    (table,) = drawn["results/newest:text"][-1]
+    assert "| 1 | measured | 200.0 | 31.30 |" in table
+    assert "thesis" not in table
+
+
 @pytest.mark.parametrize(
     ("axis", "value", "shown"),
     [
         (Axis("pressure (kPa)", 0.0, 600.0), 549.9632, "550.0"),
         (Axis("force (N)", 0.0, 100.0), 98.2371, "98.24"),
         (Axis("gain (dB)", -20.0, 3.0), -0.69471, "−0.695"),
-        (Axis("frequency (Hz)", -1.0, 1.0, log10=True), math.log10(0.5), "0.5"),
+        (Axis("frequency (Hz)", -1.0, 1.0, log10=True), math.log10(0.5), "0.500"),
         (Axis("time held (s)", 0.0, 2.0, log10=True), math.log10(5.6617), "5.66"),
         (Axis("cycle", 0.0, 5.0, log10=True), math.log10(43_152.0), "43152"),
     ],

@@ -197,7 +197,7 @@ STEP = Analysis(
         "Step test",
         parameters,
         window_s=10.0,
-        result_axis=("rms error of the second half of a step (kPa)", 100.0),
+        result_axis=("rms error, second half of step (kPa)", 100.0),
     ),
     step_findings,
     ResultColumns(

@@ -75,7 +75,12 @@ def hysteresis_layout(
     right = _with_points(base, points)
     feeds: tuple[PointFeed, ...] = (feed,)
     if list(masses):
-        right = _with_points(base, (points, _length_points(pressure_max_kpa)))
+        # Half the width each: longer titles would be cut.
+        by_length = replace(points, title="Force (N) against pressure (kPa)")
+        by_load = replace(
+            _length_points(pressure_max_kpa), title="Length (mm) against pressure (kPa)"
+        )
+        right = _with_points(base, (by_length, by_load))
         feeds = (feed, _length_feed("{mass_kg:g} kg" + label))
     return replace(base, title="Hysteresis test", columns=(base.columns[0], right), points=feeds)
 

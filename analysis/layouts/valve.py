@@ -65,6 +65,7 @@ def valve_layout(
                 share=1.5,
                 x_axis=Axis("pressure (kPa)", 0.0, top),
                 y_axis=Axis(label, 0.0, float(high)),
+                reference="thesis",
             )
         )
     left = (pressure_panel("Pressure between the valves (kPa)"), VALVES, STATES, MESSAGES)

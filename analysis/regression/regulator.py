@@ -40,12 +40,6 @@ class Regulator:
     offset_kpa: float
     gain_error: float
 
-    def resting_kpa(self, set_kpa: float, rising: bool) -> float:
-        """The pressure at rest after a large step to a set-point."""
-        half = self.hysteresis_kpa / 2
-        played = set_kpa - half if rising else set_kpa + half
-        return self.offset_kpa + (1.0 + self.gain_error) * played
-
 
 def approach(
     elapsed_s: Array, start_kpa: float, end_kpa: float, lag_s: float, slew: float

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from daq.store.run import Run
 
 Named = tuple[str, "Figure"]
-WIDTHS = ("double", "single")
 
 
 def run_figures(run: Run, width: str = "double") -> list[Named]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -173,8 +173,3 @@ def run_trial(trial: Trial, c: Floats, e: Floats, times: Floats, scale: float = 
             scale,
         )
     )
-
-
-def renamed(trial: Trial, **changes: object) -> Trial:
-    """A copy of a trial with other fields."""
-    return replace(trial, **changes)  # type: ignore[arg-type]

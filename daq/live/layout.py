@@ -105,7 +105,7 @@ class Axis:
         quantity = self.quantity(value)
         if self.log10:
             decimals = max(2 - math.floor(value + 1e-9), 0)
-            return f"{round(quantity, decimals):.9g}"
+            return f"{quantity:.{decimals}f}"
         decimals = max(-math.floor(math.log10((self.high - self.low) / FINEST)), 0)
         return f"{quantity:z.{decimals}f}".replace("-", "−")
 
@@ -126,6 +126,8 @@ class Panel:
         x_axis, y_axis: axes of a points panel; for a camera panel the frame size in pixels, if
             known.
         state_colours: (text, colour) pairs of a states panel.
+        reference: curves of a points panel whose names end with this were not measured; the table
+            of results leaves them out.
     """
 
     title: str
@@ -137,6 +139,7 @@ class Panel:
     x_axis: Axis | None = None
     y_axis: Axis | None = None
     state_colours: tuple[tuple[str, Colour], ...] = ()
+    reference: str | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in _KINDS:

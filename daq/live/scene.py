@@ -173,10 +173,8 @@ class Scene:
             return
         self._at(time_s)
         chart = self._chart(panel)
-        rows = self._results[panel.origin] = self._results.pop(panel.origin, [])  # now the newest
-        rows += [(label, float(a), float(b)) for a, b in zip(x, y, strict=True)]
-        self._counts[panel.origin] = self._counts.get(panel.origin, 0) + len(x)
-        del rows[:-TABLE_ROWS]
+        if panel.reference is None or not label.endswith(panel.reference):
+            self._add_results(panel, label, x, y)
         for table in self._layout.panels:
             if table.kind == "table":
                 self._table(table.origin)
@@ -197,6 +195,12 @@ class Scene:
                 show_labels=True,
             ),
         )
+
+    def _add_results(self, panel: Panel, label: str, x: Floats, y: Floats) -> None:
+        rows = self._results[panel.origin] = self._results.pop(panel.origin, [])  # now the newest
+        rows += [(label, float(a), float(b)) for a, b in zip(x, y, strict=True)]
+        self._counts[panel.origin] = self._counts.get(panel.origin, 0) + len(x)
+        del rows[:-TABLE_ROWS]
 
     def _table(self, origin: str) -> None:
         """The newest results of every chart as rows, the newest first; so are the charts."""

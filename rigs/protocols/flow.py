@@ -91,7 +91,7 @@ class FlowPoint(ValvePoint):
         line = Meter(p.bore_mm)
         share = float(flow_share(np.array([kpa]), 0.5, line.atmosphere_kpa)[0])
         expected = THESIS_CONDUCTANCE * line.velocity_per_conductance * share
-        runner.report_result(kpa, expected, "thesis's valve")
+        runner.report_result(kpa, expected, "valve of the thesis")
         self.put(
             runner, settled=came, valve_seq=[first, rig.valve.seq_end],
             flow_rows=[row, meter.rows],

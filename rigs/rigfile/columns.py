@@ -67,11 +67,6 @@ class ColumnForm(Device):
         """The columns that are quantities."""
         return tuple(name for name in self.columns if name != TIME)
 
-    @property
-    def has_time(self) -> bool:
-        """Whether it prints its own time."""
-        return TIME in self.columns
-
 
 def load_columns(name: str) -> ColumnForm:
     """Read such a description, given as a path or as a shipped name.

@@ -83,7 +83,6 @@ class Readings:
         # If nothing moves, the position is the held length of the muscle.
         self._held = not names
         places = [f"{name}_{unit}" for name in names] or ["length_mm"]
-        self.place_columns = places
         schema = {**head, **dict.fromkeys(places, "float64")}
         units = {"host_ns": "ns", **dict.fromkeys(places, unit)}
         self._places = _Rows(record, "place", schema, units, SMALL_BATCH)

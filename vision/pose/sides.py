@@ -18,9 +18,6 @@ ENDS = 0.14
 """Share of a side at each end that is left out: there the blurred corner is round."""
 STEP_PX = 0.5
 LONGEST_PX = 7.0
-SQUARES = 6.0
-"""Squares along a side of a mark of 4 x 4 with its border; a profile stays within a border of a
-mark with more squares as well, because it reaches less than half a square."""
 LEAST_KEPT = 0.7
 """Share of the profiles that must lie on the line: otherwise something covers the side."""
 LARGEST_SD_PX = 0.5

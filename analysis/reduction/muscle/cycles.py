@@ -28,8 +28,6 @@ COLUMNS = (
     "order", "trial", "slot", "repeat", "mounting", "settled", "utc_s", *MEASURED,
     *(f"u_{name}" for name in UNCERTAIN),
 )  # fmt: skip
-LEAK_SAMPLES = 50
-"""The pressure at each end of a leak check is a mean of so many samples."""
 
 
 def scatter(values: Array) -> float:

@@ -79,7 +79,6 @@ class Balance(LineDevice):
     def __init__(self, link: Link, event_loop: EventLoop) -> None:
         super().__init__(link, event_loop, "balance")
         self.rows = 0
-        self.overloads = 0
         self._grams = np.zeros(KEEP_ROWS)
         self._stable = np.zeros(KEEP_ROWS, dtype=bool)
         self._pending: list[tuple[int, int, float, bool]] = []
@@ -101,7 +100,6 @@ class Balance(LineDevice):
                 self._row(host_ns, float(match[2]), match[1] == "S")
             return True
         if line in ("S +", "S -"):
-            self.overloads += 1
             self._bad("overload" if line == "S +" else "underload")
             return True
         if line == "S I":

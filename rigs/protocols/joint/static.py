@@ -70,7 +70,7 @@ class JointStatic(ProtocolParameters):
         order = 0
         trials = arrange(settings, method.order, method.repeats, (method.mounting,), method.seed)
         for trial, (place, angle) in enumerate(trials, start=1):
-            slot = "free" if angle is None else f"locked {angle:g}"
+            slot = "free" if angle is None else f"locked at {angle:g}°"
             held = () if angle is None else (("held_angle_deg", angle),)
             yield State(f"trial {trial}: {slot}, replicate {place.replicate}")
             yield Trial(trial, slot, place.replicate, trial, place.mounting, "joint-static", held)

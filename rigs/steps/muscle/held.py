@@ -176,7 +176,7 @@ class HeldPart(CustomStep):
         else:
             return
         after_s = log_mean_s(self.from_s, self.to_s)
-        runner.report_result(math.log10(after_s), y, f"{self.slot}, {self.replicate}")
+        runner.report_result(math.log10(after_s), y, f"{self.slot}, rep. {self.replicate}")
 
 
 def log_mean_s(begin_s: float, end_s: float) -> float:
