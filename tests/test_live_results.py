@@ -75,6 +75,19 @@ def test_the_stored_view_has_the_points_of_the_live_view(name: str, tmp_path: Pa
         assert np.array_equal(stored[label], positions)
 
 
+@pytest.mark.parametrize("alone", [[150.0, 450.0], []])
+def test_an_axis_of_a_joint_has_a_width_where_no_difference_is_set(alone: list[float]) -> None:
+    """One muscle alone: `difference_kpa = [0]` made an axis from 0 to 0, and no view or report."""
+    parameters = {"difference_kpa": [0.0], "alone_kpa": alone, "instruments": {"torque": "gauge"}}
+    layout = analysis_of("joint-static").layout(parameters)
+    charts = [p for p in layout.panels if p.kind == "points"]
+    assert charts
+    for panel in charts:
+        assert panel.x_axis is not None
+        assert panel.x_axis.high == max(alone, default=100.0)
+        assert float(panel.x_axis.text(150.0)) == 150.0
+
+
 def test_a_curve_for_comparison_is_drawn_but_is_no_result(tmp_path: Path) -> None:
     """What the thesis measured, or a model says, is not in the table of this test's results."""
     layout = analysis_of("flow").layout({"result_axis": ["air velocity (m/s)", 80.0]})

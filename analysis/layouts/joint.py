@@ -79,7 +79,9 @@ def joint_layout(
         channel = Channel(TORQUE, f"{what.lower()}, measured", unit, PURPLE, digits=4)
         left.append(Panel(f"{what} ({unit})", "series", "torque", (channel,)))
         feeds.append(Feed(TORQUE, names["torque"], "force_n" if force else "torque_n_m"))
-    widest = max((abs(float(d)) for d in parameters.get("difference_kpa") or [100.0]), default=100)
+    # The difference of one muscle alone is its pressure. [0] only would be an axis without width.
+    given = [*(parameters.get("difference_kpa") or ()), *(parameters.get("alone_kpa") or ())]
+    widest = max((abs(float(d)) for d in given), default=0.0) or 100.0
     charts = [_chart(POINTS, result, widest)]
     if torques and names.get("torque"):
         charts.append(_chart(TORQUES, f"{what} ({unit})", widest))

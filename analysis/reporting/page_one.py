@@ -41,6 +41,11 @@ MEASURED = {"velocity_m_s": "air velocity", "torque_n_m": "torque"}
 SETS = {"stage": "(sets the length)"}
 """What an instrument without readings of its own does."""
 UNIT_SIGNS = {"degC": "°C"}
+SINGLE = {
+    "length_mm": ("length", "mm"), "mass_kg": ("load", "kg"), "low_kpa": ("from", "kPa"),
+    "high_kpa": ("to", "kPa"), "rate_hz": ("rate", "Hz"), "cycles": ("cycles", ""),
+}  # fmt: skip
+"""Set values that a method has one of: name and unit."""
 UNIT_WORDS = {"kpa": "kPa", "mm": "mm", "kg": "kg", "deg": "°", "c": "°C"}
 
 
@@ -143,7 +148,9 @@ def method_text(manifest: Mapping[str, Any]) -> str:
             and value
             and all(isinstance(one, (int, float)) for one in value)
         )
-        if numbers and unit in UNIT_WORDS:
+        if key in SINGLE and isinstance(value, (int, float)) and value:
+            words.append(f"{SINGLE[key][0]} {value:g} {SINGLE[key][1]}".strip())
+        elif numbers and unit in UNIT_WORDS:
             words.append(f"{name.replace('_', ' ')} {_listed(value)} {UNIT_WORDS[unit]}")
     repeats, names = method.get("repeats"), method.get("mountings") or []
     if repeats is not None:
@@ -196,7 +203,8 @@ def instrument_rows(run: Run, reduction: Reduction) -> list[dict[str, str]]:
             rows.append(_calibrated(name, identity, quantity, left.pop(quantity)))
         beside = run.instrument_calibrations.get(name.replace(" ", "_"))
         if not own and beside is not None:
-            rows.append(_calibrated(name, identity, beside.quantity, beside))
+            row = _calibrated(name, identity, beside.quantity, beside)
+            rows.append(row | {"date": beside.date or "–"})  # the maker's statement has none
         elif not own:
             rows.append({"name": name, "identity": identity, "quantity": SETS.get(name, ""),
                          "calibration": "", "date": "", "u": ""})  # fmt: skip

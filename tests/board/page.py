@@ -20,9 +20,10 @@ HEAD = """\
 
 `make board IMAGE=RPI_PICO.uf2 BOOTROM=bootrom.bin` (`python -m tests.board`) writes this page. It
 starts MicroPython's image for the board on an emulated RP2040. The file system holds the files that
-`pamrig firmware install` copies. The test is the host on the other end of the UART, the pressure
-sensor and a chamber with two valves. Its commands name a session, as those of `pamrig` do. Times
-are emulated times, measured from outside the firmware.
+`pamrig firmware install` copies. The test program takes the place of everything around the board:
+the host at the other end of the UART, the pressure sensor, and a chamber with two valves. Its
+commands name a session, as those of `pamrig` do. Times are emulated times, measured outside the
+firmware.
 
 **{verdict}**; {date}, revision {revision}; MicroPython {micropython} (`{image}`), boot ROM
 {bootrom}, processor at {mhz:g} MHz, flash at {flash:g} MHz, {emulator}.
@@ -87,12 +88,14 @@ def _schemes(rows: list[dict[str, Any]]) -> Iterator[str]:
     )
     yield from _scheme_table(rows)
     yield (
-        "\nLimits: sampling p99.9 within "
-        f"{judge.SAMPLING_US:g} us of 1 ms and none lost, safety core {judge.STEP_US:g} us, busy "
-        f"{judge.BUSY:.0%}, no pulse cut, no gap. *Safety core*: from entry to return of its "
-        "interrupt. *Busy*: time in which the processor does not wait. *Loop late*: from a step to "
-        "the pass of the loop that uses it. *Missed*: steps whose reading the scheme does not see, "
-        "because the pass before took longer than 1 ms; the core checks every one. *Cut*: inlet "
+        "\nLimits: p99.9 (the value that 99.9 % do not exceed) of the interval between samples "
+        f"within {judge.SAMPLING_US:g} us of 1 ms, no sample lost, safety core "
+        f"{judge.STEP_US:g} us, busy {judge.BUSY:.0%}, no pulse cut, no gap. *Safety "
+        "core*: from entry to return of its interrupt. *Busy*: time in which the processor does "
+        "not wait. *Loop late*: time "
+        "from a step of the core to the pass of the main loop that uses its reading. *Missed*: "
+        "readings that the scheme does not see, because the pass before took longer than 1 ms; the "
+        "safety core checks every reading. *Cut*: inlet "
         "pulses that ended before the scheme or the host ended them. *Gaps*: in the numbers of the "
         "samples at the host. *Heartbeat*: from the first byte of the request to the last byte of "
         "its reply.\n"
@@ -101,7 +104,7 @@ def _schemes(rows: list[dict[str, Any]]) -> Iterator[str]:
 
 def _scheme_table(rows: list[dict[str, Any]]) -> Iterator[str]:
     yield (
-        "| Scheme | Sampling off 1 ms, us: p99.9 | max | Lost | Safety core, us: mean | p99 | max "
+        "| Scheme | Interval less 1 ms, us: p99.9 | max | Lost | Safety core, us: mean | p99 | max "
         "| Busy | Loop late, us: p99 | max | Missed | Inlet pulses | Cut | Gaps "
         "| Heartbeat, ms: mean | max |"
     )
@@ -124,10 +127,9 @@ def _inputs(rows: list[dict[str, Any]]) -> Iterator[str]:
         yield (
             f"## With further inputs\n\n{schemes[0]['seconds']:g} s each. On are the bridge at 80 "
             "conversions a second, the encoder every 20 ms and both analogue inputs every 100 ms "
-            f"({', '.join(f'`{text}`' for text in INPUTS)}). The bridge's words are put where its "
-            "state machine would have read them, from the start of the measurement on; before, it "
-            "is silent. The ADS1115 is missing: the emulation has no "
-            "device on the I2C bus.\n"
+            f"({', '.join(f'`{text}`' for text in INPUTS)}). The bridge is silent until the "
+            "measurement starts; from then on its words are put where its state machine would have "
+            "read them. The ADS1115 is missing: the emulation has no device on the I2C bus.\n"
         )
         yield from _scheme_table(schemes)
         readings = "; ".join(
@@ -162,13 +164,14 @@ def _requests(rows: list[dict[str, Any]]) -> Iterator[str]:
             f"| `{text}` | {max(w['ms'] for w in worst):.1f} | "
             f"{max(w['late_us'] for w in worst):.0f} |"
         )
-    yield "\nLargest of all schemes. Sampling and checks go on meanwhile.\n"
+    yield "\nThe largest values of all schemes. Sampling and checks go on while a reply is made.\n"
 
 
 def _trials(rows: list[dict[str, Any]]) -> Iterator[str]:
     if not rows:
         return
     yield "## Vents\n"
+    yield "Time from a cause to the vent command.\n"
     yield (
         "| Cause, and from when | Trials | Vent command, ms: least | mean | most | Limits "
         "| Reported |"
@@ -187,7 +190,7 @@ def _trials(rows: list[dict[str, Any]]) -> Iterator[str]:
         )
     yield (
         "\nAt random moments relative to ticks, frames and other requests, in all schemes. *Vent "
-        "command*: the words that close the inlet and open the outlet have been written.\n"
+        "command*: time until the firmware has commanded inlet shut and outlet open.\n"
     )
 
 
