@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gap.check.presence import cases, fit
@@ -22,6 +23,7 @@ from gap.errors import CheckError
 from gap.estimation.fit_problem import FitProblem
 from gap.reason import Cause, reason
 from gap.reporting.text import headline
+from gap.selection.candidate_fits import Hypothesis
 from gap.selection.config import SELECTION
 from gap.selection.further import is_further, with_further
 from gap.selection.inclusion import StepStatistics
@@ -114,9 +116,31 @@ def test_a_further_effect_is_named_only_where_it_is_sure(two: _Case, one: _Case)
     case, found = _by_presence(one, whole, two.search, {first: 0.95, other: 0.8})
     assert found.sure == (first,)
     assert case is one
-    # A single effect that was refused stays so, whatever stands beside it.
-    case, found = _by_presence(one, refused(one), two.search, {first: 0.95, other: 0.95})
+
+
+def test_a_refused_single_effect_is_only_judged_anew_beside_others_that_take_most_of_the_rest(
+    two: _Case, one: _Case
+) -> None:
+    odds = dict.fromkeys(two.search.best.fit.ids, 0.95)
+    found = _by_presence(one, refused(one), two.search, odds)[1]
+    assert found.sure == two.search.best.fit.ids
+    little = replace(two.search, left=0.5 * one.search.left)
+    found = _by_presence(one, refused(one), little, odds)[1]
     assert found.status is Status.UNKNOWN
+
+
+def test_an_effect_at_two_edges_is_one_effect_with_one_probability(one: _Case) -> None:
+    problem = one.problem
+    fit = one.search.best.fit
+    edges = [next(c for c in problem.candidates if c.key == f"flow_area:{side}")
+             for side in ("inlet", "outlet")]  # fmt: skip
+    both = problem.at(
+        fit.shift, [*fit.candidates, *edges], np.array([*fit.amounts, 0.02, 0.02]), fit
+    )
+    keys = (*one.search.best.keys, *(edge.key for edge in edges))
+    search = replace(one.search, best=Hypothesis(keys, both), rivals=[])
+    evidence = evidence_of(problem, search, 0.05)
+    assert [each.id for each in evidence] == [*fit.ids, "flow_area"]
 
 
 def test_an_effect_that_takes_little_of_what_is_left_and_is_not_seen_stays_out() -> None:

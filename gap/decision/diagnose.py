@@ -16,7 +16,7 @@ from gap.decision.classify import classify
 from gap.effects.candidates import CANDIDATES, Candidate
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.fitness import UnfitPlant, unfit_nominal
+from gap.estimation.fitness import UnfitPlant, beyond_braid, doubts, doubts_left
 from gap.reason import Cause, Reason, reason
 from gap.selection.config import SELECTION
 from gap.selection.inclusion import excess_chi2
@@ -74,16 +74,25 @@ def verdict_by_catalogue(
     problem = FitProblem.of(data, candidates)
     if not len(problem.rows):
         return nothing_to_compare(data), None, None
-    misfits = unfit_nominal(problem)
-    if misfits:
-        return _unfit_plant(data, misfits), None, None
+    outside, doubtful = beyond_braid(problem), doubts(problem, problem.base)
+    if outside:
+        return _unfit_plant(data, [*outside, *doubtful]), None, None
     if excess_chi2(problem, problem.base) > SELECTION.timing_excess_per_row * len(problem.rows):
         timing_fault = channel_with_timing_fault(problem)
+        if timing_fault is not None and doubtful:
+            return _unfit_plant(data, doubtful), None, None
         if timing_fault is not None:
             return _unfit([Unfit(timing_fault.channel, timing_fault.defect)]), None, None
     found = search_effects(problem)
     stage("confounders, stages and the next experiment")
     verdict, search = classify(problem, found)
+    if doubtful:
+        # Several large effects do this as well as another muscle; only certain ones are believed.
+        left = doubts_left(problem, search.best.fit, search.gap, search.left) or (
+            [] if verdict.sure else doubtful
+        )
+        if left:
+            return _unfit_plant(data, left), None, None
     return verdict, problem, search
 
 
