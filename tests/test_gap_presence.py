@@ -8,8 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from blind.exchange import write
+from blind.recording import record
+from blind.sets import SEVERAL, blind_set
 from gap.check.presence import cases, fit
 from gap.data.from_runs import open_data
+from gap.data.reader import read_dataset
 from gap.decision.classify import _by_presence, _Case, _Finding
 from gap.decision.config import DECISION
 from gap.decision.presence import (
@@ -23,11 +27,11 @@ from gap.errors import CheckError
 from gap.estimation.fit_problem import FitProblem
 from gap.reason import Cause, reason
 from gap.reporting.text import headline
-from gap.selection.candidate_fits import Hypothesis
+from gap.selection.candidate_fits import Hypothesis, is_bent
 from gap.selection.config import SELECTION
 from gap.selection.further import is_further, with_further
-from gap.selection.inclusion import StepStatistics
-from gap.selection.search import search_effects
+from gap.selection.inclusion import StepStatistics, excess_chi2
+from gap.selection.search import SearchResult, search_effects
 from gap.verdict import Explanation, Status, Verdict
 from gap_bench import write_set
 
@@ -141,6 +145,21 @@ def test_an_effect_at_two_edges_is_one_effect_with_one_probability(one: _Case) -
     search = replace(one.search, best=Hypothesis(keys, both), rivals=[])
     evidence = evidence_of(problem, search, 0.05)
     assert [each.id for each in evidence] == [*fit.ids, "flow_area"]
+
+
+def test_a_further_effect_is_also_fitted_from_the_stated_constants(tmp_path: Path) -> None:
+    """One effect alone bends the constants; from there no fit of another finds its way."""
+    write(record(blind_set(SEVERAL, 518)), tmp_path)
+    problem = FitProblem.of(read_dataset(tmp_path))
+    late = next(c for c in problem.candidates if c.key == "valve_delay:outlet_off")
+    bent = problem.polish(problem.fit([late], [late.step]))
+    assert is_bent(bent)
+    lag = problem.restricted_to(lambda candidate: candidate.id == "pressure_lag")
+    left, gap = excess_chi2(problem, bent), excess_chi2(problem, problem.base)
+    search = SearchResult(Hypothesis((late.key,), bent), [], {}, gap, left)
+    further = with_further(lag, search)
+    assert further.best.keys == (late.key, "pressure_lag")
+    assert further.left < 0.7 * left
 
 
 def test_an_effect_that_takes_little_of_what_is_left_and_is_not_seen_stays_out() -> None:

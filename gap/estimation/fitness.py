@@ -12,9 +12,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 
 import numpy as np
 
+from gap.effects.candidates import Candidate
 from gap.estimation.config import ESTIMATION, EstimationConfig
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.features import BLOCKS, UNITS
@@ -109,12 +111,16 @@ def _is_another_muscle(
         return True
     whole = other.polish(other.fit(*fit.kept(lambda _: True)))
     for name in fit.ids:
-        kept = fit.kept(lambda candidate, out=name: candidate.id != out)
+        kept = fit.kept(partial(_is_other, name))
         lost = problem.polish(problem.fit(*kept)).cost - fit.cost
         other_lost = other.polish(other.fit(*kept)).cost - whole.cost
         if other_lost < config.stands_for_muscle * lost:
             return True
     return False
+
+
+def _is_other(name: str, candidate: Candidate) -> bool:
+    return candidate.id != name
 
 
 def _lengths(problem: FitProblem, config: EstimationConfig) -> Iterator[UnfitPlant]:
