@@ -153,7 +153,7 @@ def test_a_further_effect_is_also_fitted_from_the_stated_constants(tmp_path: Pat
     problem = FitProblem.of(read_dataset(tmp_path))
     late = next(c for c in problem.candidates if c.key == "valve_delay:outlet_off")
     bent = problem.polish(problem.fit([late], [late.step]))
-    assert is_bent(bent)
+    assert is_bent(problem, bent)
     lag = problem.restricted_to(lambda candidate: candidate.id == "pressure_lag")
     left, gap = excess_chi2(problem, bent), excess_chi2(problem, problem.base)
     search = SearchResult(Hypothesis((late.key,), bent), [], {}, gap, left)

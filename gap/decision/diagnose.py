@@ -13,6 +13,7 @@ from daq.progress import stage
 from gap.data.dataset import DataSet
 from gap.data.quality import Unfit, unfit_channels
 from gap.decision.classify import classify
+from gap.decision.config import DECISION
 from gap.effects.candidates import CANDIDATES, Candidate
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem, FitResult
@@ -85,15 +86,24 @@ def verdict_by_catalogue(
             return _unfit([Unfit(timing_fault.channel, timing_fault.defect)]), None, None
     found = search_effects(problem)
     stage("confounders, stages and the next experiment")
-    verdict, search = classify(problem, found)
+    # Of a plant in doubt only effects that are sure by themselves are named.
+    config = replace(DECISION, needless=DECISION.present) if doubtful else DECISION
+    verdict, search = classify(problem, found, config)
     if doubtful:
-        # Several large effects do this as well as another muscle; only certain ones are believed.
-        left = doubts_left(problem, search.best.fit, search.gap, search.left) or (
-            [] if verdict.sure else doubtful
-        )
-        if left:
-            return _unfit_plant(data, left), None, None
+        # Several large effects do this as well as another muscle.
+        left = doubts_left(problem, found.best.fit, found.gap, found.left)
+        if left or not _is_sure(verdict):
+            return _unfit_plant(data, left or doubtful), None, None
     return verdict, problem, search
+
+
+def _is_sure(verdict: Verdict) -> bool:
+    """Whether effects are named, each of which is sure by itself."""
+    presence = verdict.evidence.get("presence")
+    odds = {one["id"]: one["probability"] for one in presence} if isinstance(presence, list) else {}
+    return bool(verdict.sure) and all(
+        odds.get(name, 0.0) >= DECISION.present for name in verdict.sure
+    )
 
 
 _NEAREST = 3

@@ -88,12 +88,18 @@ def doubts_left(
 
     Returns:
         Findings at the recalibrated plant where the effects leave more than a small part of the
-        gap, or where another muscle explains what one of them does; else those at `fit`. Empty
-        where the doubt is gone.
+        gap, where a fault of the recording is among them, or where another muscle explains what
+        one of them does; else those at `fit`. Empty where the doubt is gone.
     """
     stated = doubts(problem, problem.base, config)
     foreign = any(one.place.startswith(_SIMULATOR) for one in stated)
-    if foreign or left > config.doubt_left * gap or _is_another_muscle(problem, fit, left, config):
+    faulty = any(candidate.defect for candidate in fit.candidates)
+    if (
+        foreign
+        or faulty
+        or left > config.doubt_left * gap
+        or _is_another_muscle(problem, fit, left, config)
+    ):
         return stated
     return doubts(problem, fit, config)
 

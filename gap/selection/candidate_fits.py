@@ -88,12 +88,14 @@ def linear_gains(problem: FitProblem, fit: FitResult) -> LinearGains:
     return LinearGains(problem.candidates, gain, amount)
 
 
-def is_bent(fit: FitResult, config: SelectionConfig = SELECTION) -> bool:
-    """Whether constants stand at the ends of their tolerances: effects are missing, or wrong ones
-    are there, and the constants have taken their place. A fit then also starts from the stated
-    constants; from the bent ones it may not find its way back.
+def is_bent(problem: FitProblem, fit: FitResult, config: SelectionConfig = SELECTION) -> bool:
+    """Whether constants stand at the ends of their tolerances and more than chance is left.
+
+    Effects are missing then, or wrong ones are there, and the constants have taken their place. A
+    fit also starts from the stated constants; from the bent ones it may not find its way back.
     """
-    return float(np.abs(fit.shift).max(initial=0.0)) > config.freed_from_sd
+    far = float(np.abs(fit.shift).max(initial=0.0)) > config.freed_from_sd
+    return far and excess_chi2(problem, fit) > 2.0 * float(np.sqrt(2.0 * len(problem.rows)))
 
 
 def fit_further(

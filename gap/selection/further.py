@@ -36,7 +36,7 @@ def with_further(
     made = search
     while len(made.best.keys) < config.most_effects:
         linear = linear_gains(problem, made.best.fit)
-        fresh = linear if is_bent(made.best.fit, config) else None
+        fresh = linear if is_bent(problem, made.best.fit, config) else None
         tried = [
             fit_further(problem, made.best, key, linear, fresh, config)
             for key in _worth_fitting(problem, made.best, linear, made.alarm, config)

@@ -163,7 +163,7 @@ def _forward_step(
     shifted = [k for k in keys_of_shifted_constants(problem, before.fit) if k not in before.keys]
     if not top or not (shifted or _is_alarm(problem, search, top[0], gains[top[0]], config)):
         return search, linear
-    bent = bool(before.keys) and is_bent(before.fit, config)
+    bent = bool(before.keys) and is_bent(problem, before.fit, config)
     keys = dict.fromkeys([*_worth_fitting(problem, before, top, gains, bent, config), *shifted])
     if bent:
         fresh = linear
