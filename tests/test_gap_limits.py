@@ -13,14 +13,18 @@ from typer.testing import CliRunner
 
 from cli.main import app
 from gap.data.dataset import DataSet
+from gap.data.from_runs import open_data
 from gap.data.reader import read_dataset
 from gap.decision.diagnose import diagnose, diagnose_with_fit
 from gap.estimation.cross_validation import held_out
 from gap.estimation.fit_problem import FitProblem
+from gap.estimation.fitness import doubts, doubts_left
 from gap.model.bins import matched
 from gap.reporting.text import headline
+from gap.selection.inclusion import excess_chi2
 from gap.validation.shapley import Waterfall
 from gap.verdict import Explanation, Status, Verdict
+from gap_bench import write_set
 from gap_sets import settled_set
 from plant.effects.catalogue import CATALOGUE
 
@@ -129,6 +133,33 @@ def test_forces_far_from_the_plant_are_refused(folder: Path) -> None:
     samples["force_n"] *= 2.0
     samples.to_csv(folder / "samples.csv", index=False)
     assert "N rms were read" in str(diagnose(read_dataset(folder)).reason)
+
+
+def test_a_large_effect_is_no_other_muscle(tmp_path: Path) -> None:
+    """It moves the turns by 15 sd where nothing else may move; a search finds what it is."""
+    hidden = {"liner_threshold": {"threshold_kpa": 120.0}}
+    data = open_data(write_set(tmp_path / "liner", hidden, 3, replicates=2))
+    problem = FitProblem.of(data)
+    assert [str(one) for one in doubts(problem, problem.base)] == [
+        "turns would have to be off by 15 sd"
+    ]
+    verdict = diagnose(data)
+    assert verdict.status is Status.NAMED
+    assert verdict.sure == ("liner_threshold",)
+
+
+def test_gains_in_the_place_of_another_muscle_leave_it_refused(folder: Path) -> None:
+    samples = table(folder)
+    samples["force_n"] *= 2.0
+    samples.to_csv(folder / "samples.csv", index=False)
+    problem = FitProblem.of(read_dataset(folder))
+    refused = doubts(problem, problem.base)
+    assert refused
+    fit = problem.polish(problem.fit_effects(["pressure_gain", "force_gain", "end_cap"]))
+    gap, left = (excess_chi2(problem, one) for one in (problem.base, fit))
+    assert left < 0.1 * gap  # they explain the gap
+    assert not doubts(problem, fit)  # with nothing far off
+    assert doubts_left(problem, fit, gap, left) == refused
 
 
 def test_a_length_that_is_a_copied_label_is_no_channel(folder: Path) -> None:

@@ -5,10 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from blind.exchange import write
+from blind.recording import record
+from blind.sets import SEVERAL, blind_set
 from gap.check.presence import cases, fit
 from gap.data.from_runs import open_data
+from gap.data.reader import read_dataset
 from gap.decision.classify import _by_presence, _Case, _Finding
 from gap.decision.config import DECISION
 from gap.decision.presence import (
@@ -22,10 +27,11 @@ from gap.errors import CheckError
 from gap.estimation.fit_problem import FitProblem
 from gap.reason import Cause, reason
 from gap.reporting.text import headline
+from gap.selection.candidate_fits import Hypothesis, is_bent
 from gap.selection.config import SELECTION
 from gap.selection.further import is_further, with_further
-from gap.selection.inclusion import StepStatistics
-from gap.selection.search import search_effects
+from gap.selection.inclusion import StepStatistics, excess_chi2
+from gap.selection.search import SearchResult, search_effects
 from gap.verdict import Explanation, Status, Verdict
 from gap_bench import write_set
 
@@ -114,9 +120,46 @@ def test_a_further_effect_is_named_only_where_it_is_sure(two: _Case, one: _Case)
     case, found = _by_presence(one, whole, two.search, {first: 0.95, other: 0.8})
     assert found.sure == (first,)
     assert case is one
-    # A single effect that was refused stays so, whatever stands beside it.
-    case, found = _by_presence(one, refused(one), two.search, {first: 0.95, other: 0.95})
+
+
+def test_a_refused_single_effect_is_only_judged_anew_beside_others_that_take_most_of_the_rest(
+    two: _Case, one: _Case
+) -> None:
+    odds = dict.fromkeys(two.search.best.fit.ids, 0.95)
+    found = _by_presence(one, refused(one), two.search, odds)[1]
+    assert found.sure == two.search.best.fit.ids
+    little = replace(two.search, left=0.5 * one.search.left)
+    found = _by_presence(one, refused(one), little, odds)[1]
     assert found.status is Status.UNKNOWN
+
+
+def test_an_effect_at_two_edges_is_one_effect_with_one_probability(one: _Case) -> None:
+    problem = one.problem
+    fit = one.search.best.fit
+    edges = [next(c for c in problem.candidates if c.key == f"flow_area:{side}")
+             for side in ("inlet", "outlet")]  # fmt: skip
+    both = problem.at(
+        fit.shift, [*fit.candidates, *edges], np.array([*fit.amounts, 0.02, 0.02]), fit
+    )
+    keys = (*one.search.best.keys, *(edge.key for edge in edges))
+    search = replace(one.search, best=Hypothesis(keys, both), rivals=[])
+    evidence = evidence_of(problem, search, 0.05)
+    assert [each.id for each in evidence] == [*fit.ids, "flow_area"]
+
+
+def test_a_further_effect_is_also_fitted_from_the_stated_constants(tmp_path: Path) -> None:
+    """One effect alone bends the constants; from there no fit of another finds its way."""
+    write(record(blind_set(SEVERAL, 518)), tmp_path)
+    problem = FitProblem.of(read_dataset(tmp_path))
+    late = next(c for c in problem.candidates if c.key == "valve_delay:outlet_off")
+    bent = problem.polish(problem.fit([late], [late.step]))
+    assert is_bent(problem, bent)
+    lag = problem.restricted_to(lambda candidate: candidate.id == "pressure_lag")
+    left, gap = excess_chi2(problem, bent), excess_chi2(problem, problem.base)
+    search = SearchResult(Hypothesis((late.key,), bent), [], {}, gap, left)
+    further = with_further(lag, search)
+    assert further.best.keys == (late.key, "pressure_lag")
+    assert further.left < 0.7 * left
 
 
 def test_an_effect_that_takes_little_of_what_is_left_and_is_not_seen_stays_out() -> None:

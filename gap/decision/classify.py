@@ -298,7 +298,9 @@ def _by_presence(
     sure = tuple(name for name in further.best.fit.ids if odds[name] >= config.present)
     single = len(case.search.best.fit.ids) == 1
     if finding.status is Status.UNKNOWN:
-        # The refusal of one effect was learnt on single effects.
+        # The refusal of one effect was learnt on single effects. It says nothing of an explanation
+        # of several that leaves a small part of what the one left.
+        single = single and further.left > config.beyond_single * case.search.left
         return (None if single else _partly(wider, finding, sure, odds)) or (case, finding)
     if finding.status in NAMED:
         ids = finding.entries[0][0].fit.ids

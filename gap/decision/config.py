@@ -43,6 +43,9 @@ class DecisionConfig:
     """Least probability of `unknown` where a drift over the trials is left."""
 
     # Presence of each effect by itself
+    beyond_single: float = 0.25
+    """Most of what a refused explanation of one effect leaves that one with further effects may
+    leave for its effects to be asked for by themselves. Set on: set 518 of the stream `several`."""
     present: float = 0.9
     """Least probability of an effect that is named although the explanation as a whole is not
     reliable, or although the inclusion test did not take it in. A matter of definition: one in ten

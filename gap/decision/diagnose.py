@@ -13,10 +13,11 @@ from daq.progress import stage
 from gap.data.dataset import DataSet
 from gap.data.quality import Unfit, unfit_channels
 from gap.decision.classify import classify
+from gap.decision.config import DECISION
 from gap.effects.candidates import CANDIDATES, Candidate
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.fitness import UnfitPlant, unfit_nominal
+from gap.estimation.fitness import UnfitPlant, beyond_braid, doubts, doubts_left
 from gap.reason import Cause, Reason, reason
 from gap.selection.config import SELECTION
 from gap.selection.inclusion import excess_chi2
@@ -74,17 +75,35 @@ def verdict_by_catalogue(
     problem = FitProblem.of(data, candidates)
     if not len(problem.rows):
         return nothing_to_compare(data), None, None
-    misfits = unfit_nominal(problem)
-    if misfits:
-        return _unfit_plant(data, misfits), None, None
+    outside, doubtful = beyond_braid(problem), doubts(problem, problem.base)
+    if outside:
+        return _unfit_plant(data, [*outside, *doubtful]), None, None
     if excess_chi2(problem, problem.base) > SELECTION.timing_excess_per_row * len(problem.rows):
         timing_fault = channel_with_timing_fault(problem)
+        if timing_fault is not None and doubtful:
+            return _unfit_plant(data, doubtful), None, None
         if timing_fault is not None:
             return _unfit([Unfit(timing_fault.channel, timing_fault.defect)]), None, None
     found = search_effects(problem)
     stage("confounders, stages and the next experiment")
-    verdict, search = classify(problem, found)
+    # Of a plant in doubt only effects that are sure by themselves are named.
+    config = replace(DECISION, needless=DECISION.present) if doubtful else DECISION
+    verdict, search = classify(problem, found, config)
+    if doubtful:
+        # Several large effects do this as well as another muscle.
+        left = doubts_left(problem, found.best.fit, found.gap, found.left)
+        if left or not _is_sure(verdict):
+            return _unfit_plant(data, left or doubtful), None, None
     return verdict, problem, search
+
+
+def _is_sure(verdict: Verdict) -> bool:
+    """Whether effects are named, each of which is sure by itself."""
+    presence = verdict.evidence.get("presence")
+    odds = {one["id"]: one["probability"] for one in presence} if isinstance(presence, list) else {}
+    return bool(verdict.sure) and all(
+        odds.get(name, 0.0) >= DECISION.present for name in verdict.sure
+    )
 
 
 _NEAREST = 3

@@ -25,7 +25,6 @@ from scipy.special import expit
 from gap.estimation.cross_validation import left_out
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.shape_fit import LOOSE, fit_shapes
-from gap.selection.backward import refitted_without, without
 from gap.selection.candidate_fits import Hypothesis, fit_further, linear_gains
 from gap.selection.inclusion import excess_chi2, visibility
 from gap.selection.search import SearchResult
@@ -115,47 +114,58 @@ def shipped_presence() -> Presence:
 def evidence_of(problem: FitProblem, search: SearchResult, unknown: float) -> tuple[Evidence, ...]:
     """The evidence for each effect of the best explanation of a search.
 
+    An effect at two edges (a valve that opens and closes late) is one effect.
+
     Args:
         unknown: probability that the explanation stands for an effect outside the catalogue.
     """
-    fit, keys = search.best.fit, search.best.keys
+    fit = search.best.fit
     chance = float(np.sqrt(2.0 * len(problem.rows)))
     steady = _steadiness(problem, fit)
+    several = len(fit.ids) > 1
     made = []
-    for key in keys:
-        name = key.partition(":")[0]
-        less = refitted_without(problem, fit, key) if len(keys) > 1 else problem.base
+    for name in fit.ids:
+        less = _without_effect(problem, fit, name) if several else problem.base
         lost = max(less.cost - fit.cost, 0.0)
         others = [h.cost - fit.cost for h in search.rivals if name not in h.fit.ids]
-        if len(keys) > 1:
-            others += _stand_ins(problem, search.best, key)
+        if several:
+            others += _stand_ins(problem, search.best, name)
         made.append(
             Evidence(
                 name, search.left + chance, search.gap + chance, lost,
                 max(min([lost, *others]), 0.0), _over_slots(problem, less, fit),
                 visibility(problem, less, fit),
                 float(any(_against_end(problem, fit, j, search.left + chance)
-                          for j, c in enumerate(fit.candidates) if c.key == key)),
-                float(len(keys) == 1), steady[name], unknown,
+                          for j, c in enumerate(fit.candidates) if c.id == name)),
+                float(not several), steady[name], unknown,
             )
         )  # fmt: skip
     return tuple(made)
 
 
+def _without_effect(problem: FitProblem, fit: FitResult, name: str) -> FitResult:
+    """The fit without an effect, all its edges taken out, and all others fitted anew."""
+    candidates, amounts = fit.kept(lambda candidate: candidate.id != name)
+    return problem.polish(problem.fit(candidates, amounts, fit))
+
+
 def _steadiness(problem: FitProblem, fit: FitResult) -> dict[str, float]:
     """Amount of each effect over the jackknife error over slots of that amount, by id.
 
-    Some slots need a stand-in, and others do not.
+    Some slots need a stand-in, and others do not. Of an effect at two edges, the steadier one:
+    their amounts need not have one sign.
     """
     change = left_out(problem, fit, problem.units).change[:, len(problem.names) :]
     slots = len(change)
-    made = {}
-    for name in fit.ids:
-        own = [j for j, candidate in enumerate(fit.candidates) if candidate.id == name]
+    made: dict[str, float] = {}
+    for key in dict.fromkeys(candidate.key for candidate in fit.candidates):
+        own = [j for j, candidate in enumerate(fit.candidates) if candidate.key == key]
         moved = change[:, own].sum(axis=1)
         spread = float(np.sum((moved - moved.mean()) ** 2))
         error = float(np.sqrt((slots - 1) / slots * spread))
-        made[name] = min(abs(float(fit.amounts[own].sum())) / max(error, 1e-300), _STEADIEST)
+        name = fit.candidates[own[0]].id
+        one = min(abs(float(fit.amounts[own].sum())) / max(error, 1e-300), _STEADIEST)
+        made[name] = max(made.get(name, 0.0), one)
     return made
 
 
@@ -184,14 +194,14 @@ def _against_end(problem: FitProblem, fit: FitResult, at: int, left: float) -> b
     return False
 
 
-def _stand_ins(problem: FitProblem, best: Hypothesis, key: str) -> list[float]:
-    """Rise of chi-square with other effects in the place of one."""
-    taken = without(problem, best.fit, key)
+def _stand_ins(problem: FitProblem, best: Hypothesis, name: str) -> list[float]:
+    """Rise of chi-square with other effects in the place of one, all its edges taken out."""
+    candidates, amounts = best.fit.kept(lambda candidate: candidate.id != name)
+    taken = problem.at(best.fit.shift, candidates, np.array(amounts), best.fit)
     linear = linear_gains(problem, taken)
     gains = linear.by_key()
     defects = {c.key for c in problem.candidates if c.defect}
-    rest = Hypothesis(tuple(k for k in best.keys if k != key), taken)
-    name = key.partition(":")[0]
+    rest = Hypothesis(tuple(k for k in best.keys if k.partition(":")[0] != name), taken)
     top = sorted(
         (k for k in gains
          if k not in best.keys and k not in defects and k.partition(":")[0] != name),

@@ -51,6 +51,14 @@ class EstimationConfig:
     far_sd: float = 12.0
     """Shift of a constant of the muscle, in sd, from which the plant is that of another muscle: at
     1 % of the turns and 0.3 % of the braid 12 % and 4 %. Set on: the same."""
+    doubt_left: float = 0.1
+    """Most of the gap that effects may leave of a plant in doubt for the doubt to go."""
+    another_muscle: float = 0.2
+    """One sd of length and turns of another muscle, as a share of them, that a plant in doubt is
+    compared with. No other value was tried."""
+    stands_for_muscle: float = 0.5
+    """An effect that takes less than this share of what it takes beside the nominal muscle, beside
+    another one, may stand for that. No other value was tried."""
     beyond_braid: float = 0.05
     """Length beyond the braid's, as a share of it, from which the muscle is another one: a taut
     braid does not stretch by more. Set on: the same."""

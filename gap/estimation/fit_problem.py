@@ -230,6 +230,28 @@ class FitProblem:
         """The same problem for a plant that has more stated effects; its base stays."""
         return replace(self, stated_effects=[*self.stated_effects, *effects], _kept={})
 
+    def with_free_constants(self, names: Sequence[str], share: float) -> FitProblem:
+        """The same data for a plant some of whose constants are known to `share` of them only.
+
+        Recalibrated anew, from where the constants are.
+        """
+        c = self.data.constants
+        known = {name for name in names if name in self.names and c.tolerance_si(name) > 0.0}
+        wide = {name: share * c.value(name) for name in sorted(known)}
+        freed = replace(c, tolerances=tuple((dict(c.tolerances) | wide).items()))
+        wider = np.array(
+            [
+                freed.tolerance_si(name) / c.tolerance_si(name) if name in known else 1.0
+                for name in self.names
+            ]
+        )
+        base = replace(self.base, shift=self.base.shift / wider)
+        problem = replace(
+            self, data=replace(self.data, constants=freed), base=base,
+            stated_columns=self.stated_columns * wider, columns=self.columns * wider, _kept={},
+        )  # fmt: skip
+        return problem._recalibrated(base.shift)
+
     def on_model(self, data: DataSet, model: Model, noise: Noise) -> FitProblem:
         """The same plant and fits on other trials, with their model and noise."""
         return replace(self, data=data, model=model, noise=noise, _kept={})

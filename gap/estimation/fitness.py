@@ -1,8 +1,10 @@
-"""Whether the nominal plant fits a data set at all, before anything is made of its gap.
+"""Whether the nominal plant fits a data set at all.
 
 Effects are corrections of a plant that is nearly right. Where lengths lie outside what the braid
-can reach, or the recalibrated plant misses most of what was read, the plant is that of another
-muscle: whatever a search finds then says nothing.
+can reach, the plant is that of another muscle: whatever a search finds then says nothing. Where the
+recalibrated plant misses most of what was read, or would need constants far off, it may be another
+muscle too, or several large effects at once. Then the search decides: the plant is in doubt, and
+the doubt stays unless effects explain nearly all of the gap and leave neither finding.
 """
 
 from __future__ import annotations
@@ -10,11 +12,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 
 import numpy as np
 
+from gap.effects.candidates import Candidate
 from gap.estimation.config import ESTIMATION, EstimationConfig
-from gap.estimation.fit_problem import FitProblem
+from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.features import BLOCKS, UNITS
 from plant.constants import STANDARD_GRAVITY_M_S2
 
@@ -56,9 +60,73 @@ class UnfitPlant:
         )
 
 
-def unfit_nominal(problem: FitProblem, config: EstimationConfig = ESTIMATION) -> list[UnfitPlant]:
-    """Findings against the nominal plant of a data set; empty where it can be diagnosed."""
-    return [*_lengths(problem, config), *_readings(problem, config), *_constants(problem, config)]
+def beyond_braid(problem: FitProblem, config: EstimationConfig = ESTIMATION) -> list[UnfitPlant]:
+    """Lengths that no muscle of the nominal plant has: with them nothing can be diagnosed."""
+    return list(_lengths(problem, config))
+
+
+def doubts(
+    problem: FitProblem, fit: FitResult, config: EstimationConfig = ESTIMATION
+) -> list[UnfitPlant]:
+    """Findings that speak against the nominal plant at a fit, such as the recalibrated plant."""
+    return [*_readings(problem, fit, config), *_constants(problem, fit, config)]
+
+
+def doubts_left(
+    problem: FitProblem,
+    fit: FitResult,
+    gap: float,
+    left: float,
+    config: EstimationConfig = ESTIMATION,
+) -> list[UnfitPlant]:
+    """What still speaks against a plant that was in doubt, once effects explain its gap.
+
+    Args:
+        fit: with the effects that explain it.
+        gap: chi-square of the recalibrated plant beyond the number of rows.
+        left: the same of `fit`.
+
+    Returns:
+        Findings at the recalibrated plant where the effects leave more than a small part of the
+        gap, where a fault of the recording is among them, or where another muscle explains what
+        one of them does; else those at `fit`. Empty where the doubt is gone.
+    """
+    stated = doubts(problem, problem.base, config)
+    foreign = any(one.place.startswith(_SIMULATOR) for one in stated)
+    faulty = any(candidate.defect for candidate in fit.candidates)
+    if (
+        foreign
+        or faulty
+        or left > config.doubt_left * gap
+        or _is_another_muscle(problem, fit, left, config)
+    ):
+        return stated
+    return doubts(problem, fit, config)
+
+
+def _is_another_muscle(
+    problem: FitProblem, fit: FitResult, left: float, config: EstimationConfig
+) -> bool:
+    """Whether a muscle of other length and turns does what the effects do, or one of them.
+
+    Such an effect may only stand for it: without the effect, more is left of the nominal muscle
+    and not of the other one.
+    """
+    other = problem.with_free_constants(_MUSCLE, config.another_muscle)
+    if (other.base.cost - len(problem.rows)) * config.doubt_left < left:
+        return True
+    whole = other.polish(other.fit(*fit.kept(lambda _: True)))
+    for name in fit.ids:
+        kept = fit.kept(partial(_is_other, name))
+        lost = problem.polish(problem.fit(*kept)).cost - fit.cost
+        other_lost = other.polish(other.fit(*kept)).cost - whole.cost
+        if other_lost < config.stands_for_muscle * lost:
+            return True
+    return False
+
+
+def _is_other(name: str, candidate: Candidate) -> bool:
+    return candidate.id != name
 
 
 def _lengths(problem: FitProblem, config: EstimationConfig) -> Iterator[UnfitPlant]:
@@ -72,12 +140,14 @@ def _lengths(problem: FitProblem, config: EstimationConfig) -> Iterator[UnfitPla
             yield UnfitPlant(Misfit.LENGTHS, block, longest * 1e3, braid * 1e3)
 
 
-def _constants(problem: FitProblem, config: EstimationConfig) -> Iterator[UnfitPlant]:
+def _constants(
+    problem: FitProblem, fit: FitResult, config: EstimationConfig
+) -> Iterator[UnfitPlant]:
     """Constants of muscle or simulator that the data move beyond anything a bench could be off."""
     own = [
         (abs(float(sd)), name)
-        for name, sd in zip(problem.names, problem.base.shift, strict=True)
-        if name in _MUSCLE or name.startswith("simulator ")
+        for name, sd in zip(problem.names, fit.shift, strict=True)
+        if name in _MUSCLE or name.startswith(_SIMULATOR)
     ]
     far, name = max(own, default=(0.0, ""))
     if far > config.far_sd:
@@ -85,10 +155,13 @@ def _constants(problem: FitProblem, config: EstimationConfig) -> Iterator[UnfitP
 
 
 _MUSCLE = ("braid_length_mm", "turns")
+_SIMULATOR = "simulator "
 
 
-def _readings(problem: FitProblem, config: EstimationConfig) -> Iterator[UnfitPlant]:
-    """Forces and loads of which the recalibrated plant misses most."""
+def _readings(
+    problem: FitProblem, fit: FitResult, config: EstimationConfig
+) -> Iterator[UnfitPlant]:
+    """Forces and loads of which the plant misses most."""
     rows = problem.rows
     for block in ("force", "load"):
         points = problem.grid.points.get(block)
@@ -97,7 +170,7 @@ def _readings(problem: FitProblem, config: EstimationConfig) -> Iterator[UnfitPl
         here = rows.block == BLOCKS.index(block)
         read = points.reading if block == "force" else points.mass * STANDARD_GRAVITY_M_S2
         usual = float(np.sqrt(np.average(read**2, weights=points.weight)))
-        residual = problem.base.residual[here]
+        residual = fit.residual[here]
         off = float(np.sqrt(np.average(residual**2, weights=rows.samples[here])))
         if off > config.misfit_share * usual:
             yield UnfitPlant(Misfit.READINGS, block, off, usual)

@@ -88,6 +88,16 @@ def linear_gains(problem: FitProblem, fit: FitResult) -> LinearGains:
     return LinearGains(problem.candidates, gain, amount)
 
 
+def is_bent(problem: FitProblem, fit: FitResult, config: SelectionConfig = SELECTION) -> bool:
+    """Whether constants stand at the ends of their tolerances and more than chance is left.
+
+    Effects are missing then, or wrong ones are there, and the constants have taken their place. A
+    fit also starts from the stated constants; from the bent ones it may not find its way back.
+    """
+    far = float(np.abs(fit.shift).max(initial=0.0)) > config.freed_from_sd
+    return far and excess_chi2(problem, fit) > 2.0 * float(np.sqrt(2.0 * len(problem.rows)))
+
+
 def fit_further(
     problem: FitProblem,
     before: Hypothesis,
@@ -100,7 +110,7 @@ def fit_further(
 
     Args:
         linear: gains at `before`.
-        fresh: gains at the stated plant, if the fit shall also start from there.
+        fresh: gains whose amounts a second fit starts with, from the stated constants.
     """
     fit = before.fit
     at = linear.of_key(key)
@@ -117,6 +127,8 @@ def fit_further(
             ends.append(problem.fit_from(shift, candidates, [*fit.amounts, amount]))
         if fresh is not None:
             ends.append(problem.fit_afresh(candidates, [*fit.amounts, fresh.start(j)]))
+        if fresh is not None and exchanged is not None:
+            ends.append(problem.fit_afresh(candidates, [*fit.amounts, exchanged[1]]))
         best = min(ends, key=lambda end: end.cost)
     assert best is not None
     return Hypothesis((*before.keys, key), best)

@@ -12,7 +12,13 @@ from dataclasses import replace
 
 from gap.estimation.fit_problem import FitProblem
 from gap.estimation.shape_fit import fit_shapes
-from gap.selection.candidate_fits import Hypothesis, LinearGains, fit_further, linear_gains
+from gap.selection.candidate_fits import (
+    Hypothesis,
+    LinearGains,
+    fit_further,
+    is_bent,
+    linear_gains,
+)
 from gap.selection.config import SELECTION, SelectionConfig
 from gap.selection.inclusion import StepStatistics, excess_chi2, step_statistics
 from gap.selection.search import SearchResult
@@ -30,8 +36,9 @@ def with_further(
     made = search
     while len(made.best.keys) < config.most_effects:
         linear = linear_gains(problem, made.best.fit)
+        fresh = linear if is_bent(problem, made.best.fit, config) else None
         tried = [
-            fit_further(problem, made.best, key, linear, None, config)
+            fit_further(problem, made.best, key, linear, fresh, config)
             for key in _worth_fitting(problem, made.best, linear, made.alarm, config)
         ]
         passed = []

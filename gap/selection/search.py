@@ -24,6 +24,7 @@ from gap.selection.candidate_fits import (
     Hypothesis,
     LinearGains,
     fit_further,
+    is_bent,
     keys_of_shifted_constants,
     linear_gains,
     near_cost,
@@ -162,7 +163,10 @@ def _forward_step(
     shifted = [k for k in keys_of_shifted_constants(problem, before.fit) if k not in before.keys]
     if not top or not (shifted or _is_alarm(problem, search, top[0], gains[top[0]], config)):
         return search, linear
-    keys = dict.fromkeys([*_worth_fitting(problem, before, top, gains, config), *shifted])
+    bent = bool(before.keys) and is_bent(problem, before.fit, config)
+    keys = dict.fromkeys([*_worth_fitting(problem, before, top, gains, bent, config), *shifted])
+    if bent:
+        fresh = linear
     fitting = counted(f"effect {len(before.keys) + 1}: fit", keys)
     tried = [fit_further(problem, before, key, linear, fresh, config) for key in fitting]
     stage(f"effect {len(before.keys) + 1}: best forms")
@@ -209,13 +213,15 @@ def _worth_fitting(
     before: Hypothesis,
     top: list[str],
     gains: dict[str, float],
+    bent: bool,
     config: SelectionConfig,
 ) -> list[str]:
     """Keys worth a nonlinear fit: the best, and the best that show in channels of their own.
 
-    What an inexact form of a large first effect leaves outweighs a second effect elsewhere.
+    What an inexact form of a large first effect leaves outweighs a second effect elsewhere. Where
+    constants are bent to the ends of their tolerances, linear gains say little.
     """
-    least = config.fitted_share
+    least = 0.0 if bent else config.fitted_share
     made = [k for k in top[: config.fitted_candidates] if gains[k] > least * gains[top[0]]]
     own = [k for k in top if own_channels(problem, before.fit, k)] if before.keys else []
     return made + [
