@@ -107,6 +107,19 @@ def test_settled_points_are_matched_by_condition() -> None:
     assert len(all_of_them) == 4
 
 
+def test_a_slot_may_hold_settled_points_and_a_trial_in_time(folder: Path) -> None:
+    """As an investigation joins runs: such trials are no replicates of each other."""
+    data = read_dataset(folder)
+    slot = data.trials[0].slot
+    first, second = [i for i, t in enumerate(data.trials) if t.slot == slot][:2]
+    trials = list(data.trials)
+    trials[second] = replace(trials[second], settled=False)
+    rows = FitProblem.of(replace(data, trials=tuple(trials))).rows
+    shared = set(rows.bin[rows.trial == first]) & set(rows.bin[rows.trial == second])
+    assert (rows.trial == second).any()
+    assert not shared
+
+
 def scaled(folder: Path, factor: float) -> None:
     trials = table(folder, "trials")
     trials["held_length_mm"] *= factor

@@ -309,6 +309,8 @@ def _chamber(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> _Piec
 
 _SHAPE = 0.3
 """Part of the doubt about unseen gas that need not be the same throughout a trial."""
+_FIRST_SETTLED = 500_000
+"""Number of the first bin of settled points, beyond all bins in time."""
 _MOST = {"pressure": 320, "force": 240, "load": 160, "camera": 12}
 
 
@@ -323,13 +325,12 @@ def _assign(
     """
     t = piece.time_s
     key = (trial.slot, block)
-    if piece.settled:
+    if piece.settled:  # a slot may have trials with a time axis beside: those are no replicates
         condition = np.stack([piece.pressure, piece.length, piece.direction], axis=1)
-        if key not in ends:
-            ends[key] = condition
-            piece.bin = np.arange(len(t))
-        else:
-            piece.bin, ends[key] = bins.matched(condition, ends[key], alike)
+        known = ends.get((trial.slot, f"{block} settled"), np.empty((0, 3)))
+        found, known = bins.matched(condition, known, alike)
+        ends[trial.slot, f"{block} settled"] = known
+        piece.bin = found + _FIRST_SETTLED
         return
     turns = np.empty(0)
     swing = piece.length if moving(piece.length) else piece.pressure
