@@ -16,8 +16,9 @@ import pamrig
 from analysis.formats.export import export_run
 from analysis.formats.importer import import_points
 from analysis.reporting.derived import derive_all
+from bench_process import call_pamrig
 from bench_runs import quick, run_isometric
-from cli.main import app, main
+from cli.main import app
 from cli.protocols.resume import continue_run
 from daq.clock import RealClock
 from daq.errors import ConfigError
@@ -172,28 +173,18 @@ def test_a_continued_test_is_shown_live(tmp_path: Path, capfd: pytest.CaptureFix
         ("isometric extra", "isometric: got unexpected extra argument"),
     ],
 )
-def test_a_wrong_command_line_is_one_line_and_status_2(
-    words: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["pamrig", *words.split()])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    out, err = capsys.readouterr()
-    assert ended.value.code == 2
-    assert out == ""
-    assert err.startswith(f"pamrig: {said}")
-    assert err.count("\n") == 1
-    assert "--help shows how it is used)" in err
+def test_a_wrong_command_line_is_one_line_and_status_2(words: str, said: str) -> None:
+    done = call_pamrig(*words.split())
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"pamrig: {said}")
+    assert done.stderr.count("\n") == 1
+    assert "--help shows how it is used)" in done.stderr
 
 
-def test_a_group_without_a_command_prints_its_help(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["pamrig", "runs"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    assert "List all runs" in "".join(capsys.readouterr())
+def test_a_group_without_a_command_prints_its_help() -> None:
+    done = call_pamrig("runs")
+    assert done.returncode == 2
+    assert "List all runs" in done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("command", ["list", "find", "index"])

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
+from bench_process import call_pamrig
 from cli.data.length import length_report, measure_lengths, parse_box, write_lengths
 from daq.clock import VirtualClock
 from daq.errors import ConfigError, DeviceError, PamrigError
@@ -494,14 +495,8 @@ BOARD = ("calibrate", "camera", "--out", "c.toml", "--board", "board.png", "--do
         ((*BOARD, "--squares", "-9x6"), "--squares: "),
     ],
 )
-def test_a_number_out_of_its_bounds_is_refused_in_one_line(words, said, monkeypatch, capsys):
-    from cli.main import main
-
-    monkeypatch.setattr("sys.argv", ["pamrig", *words])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    out, err = capsys.readouterr()
-    assert ended.value.code == 2
-    assert out == ""
-    assert err.startswith(f"pamrig: {said}")
-    assert err.count("\n") == 1
+def test_a_number_out_of_its_bounds_is_refused_in_one_line(words, said):
+    done = call_pamrig(*words)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"pamrig: {said}")
+    assert done.stderr.count("\n") == 1

@@ -80,6 +80,8 @@ def import_template(
 
 
 def _show(one: Imported, dry_run: bool) -> None:
+    from daq.live.layout import UNITS
+
     name = one.muscle or "the data"
     what = f"{name}: {len(one.trials)} trials in {len(one.replicates)} slots"
     typer.echo(what if dry_run else f"{one.folder}: {len(one.trials)} trials, {name}")
@@ -87,9 +89,10 @@ def _show(one: Imported, dry_run: bool) -> None:
         rate = f", {channel.rate_hz:.4g} Hz" if channel.rate_hz else ""
         noise = f", noise {channel.noise:.2g}" if channel.noise is not None else ""
         gaps = f", {channel.gaps} gaps to {channel.longest_gap_s:.3g} s" if channel.gaps else ""
+        unit = UNITS.get(channel.name.rpartition("_")[2], "")
         typer.echo(
             f"  {channel.name} from {channel.column} (in {channel.unit}): now {channel.low:.5g} to "
-            f"{channel.high:.5g}{_unit(channel.name)}, {channel.samples} samples{rate}{noise}{gaps}"
+            f"{channel.high:.5g}{unit and f' {unit}'}, {channel.samples} samples{rate}{noise}{gaps}"
         )
     for trial in one.trials[:SHOWN]:
         time = "settled points" if trial.duration_s is None else f"{trial.duration_s:.4g} s"
@@ -110,14 +113,6 @@ def _show(one: Imported, dry_run: bool) -> None:
         _show_costs(one.costs)
     for note in one.notes:
         typer.echo(f"  note: {note}")
-
-
-_UNITS = {"kpa": " kPa", "mm": " mm", "n": " N", "c": " °C", "kg": " kg", "s": " s"}
-
-
-def _unit(channel: str) -> str:
-    """The unit of a channel, by the end of its name; "" for commands and words."""
-    return _UNITS.get(channel.rpartition("_")[2], "")
 
 
 def _show_costs(costs: Costs) -> None:
