@@ -24,6 +24,7 @@ from scipy.special import expit
 
 from gap.estimation.cross_validation import left_out
 from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.estimation.form_freedom import form_freedom
 from gap.estimation.shape_fit import LOOSE, fit_shapes
 from gap.selection.candidate_fits import Hypothesis, fit_further, linear_gains
 from gap.selection.inclusion import excess_chi2, visibility
@@ -49,6 +50,12 @@ class Evidence:
         shape_at_end: whether the data hold a number of its shape at an end of its range.
         single: whether the explanation has no other effect.
         steady: its amount over the jackknife error over slots of that amount.
+        instead: what free forms of the other effects take in its place, over what it takes.
+        taken: what free forms of all effects take of `left`.
+        chance: one sd of chi-square.
+        alarm: gain that a first effect needs on these data.
+        effects: number of effects of the explanation.
+        range: its amount as a share of the range of the catalogue.
         unknown: probability that the explanation, as a whole, stands for an effect outside the
             catalogue (`gap.decision.reliability`).
     """
@@ -64,6 +71,12 @@ class Evidence:
     single: float
     steady: float
     unknown: float
+    instead: float = 0.0
+    taken: float = 0.0
+    chance: float = 1.0
+    alarm: float = 28.0
+    effects: float = 1.0
+    range: float = 0.0
 
     def features(self) -> Array:
         """Bounded numbers of order one, in the order of `FEATURES`."""
@@ -123,6 +136,7 @@ def evidence_of(problem: FitProblem, search: SearchResult, unknown: float) -> tu
     chance = float(np.sqrt(2.0 * len(problem.rows)))
     steady = _steadiness(problem, fit)
     several = len(fit.ids) > 1
+    freedom = form_freedom(problem, fit)
     made = []
     for name in fit.ids:
         less = _without_effect(problem, fit, name) if several else problem.base
@@ -137,10 +151,20 @@ def evidence_of(problem: FitProblem, search: SearchResult, unknown: float) -> tu
                 visibility(problem, less, fit),
                 float(any(_against_end(problem, fit, j, search.left + chance)
                           for j, c in enumerate(fit.candidates) if c.id == name)),
-                float(not several), steady[name], unknown,
+                float(not several), steady[name], unknown, freedom.instead[name], freedom.taken,
+                chance, search.alarm, float(len(fit.ids)), _of_range(fit, name),
             )
         )  # fmt: skip
     return tuple(made)
+
+
+def _of_range(fit: FitResult, name: str) -> float:
+    """Largest amount of an effect as a share of the range of its candidate."""
+    return max(
+        abs(float(amount)) / max(abs(c.bounds[0]), abs(c.bounds[1]), 1e-300)
+        for c, amount in zip(fit.candidates, fit.amounts, strict=True)
+        if c.id == name
+    )
 
 
 def _without_effect(problem: FitProblem, fit: FitResult, name: str) -> FitResult:
