@@ -23,6 +23,7 @@ from gap.estimation.intervals import detection_limits, growth_estimates, headlin
 from gap.reason import Cause, Reason, reason
 from gap.selection.candidate_fits import Hypothesis
 from gap.selection.config import SELECTION
+from gap.selection.exchange import with_exchanges
 from gap.selection.further import with_further
 from gap.selection.per_stroke import with_per_stroke_delays
 from gap.selection.pruning import prune
@@ -138,7 +139,7 @@ def classify(
     elif outcome.uncertain_defect:
         finding = _unknown(case, case.search.best.fit, 1.0, Reason(Cause.UNCERTAIN_DEFECT))
     elif case.search.best.keys:
-        further = with_further(problem, case.search)
+        further = _further(problem, case.search)
         evidence = evidence_of(problem, further, case.reliability["unknown"])
         odds = {one.id: shipped_presence().of(one) for one in evidence}
         case, finding = _by_presence(case, _explained(case), further, odds)
@@ -147,6 +148,15 @@ def classify(
     else:
         finding = _unexplained(case)
     return _verdict(case, finding), case.search
+
+
+def _further(problem: FitProblem, search: SearchResult) -> SearchResult:
+    """The search with further effects, and with exchanges where that makes it better."""
+    made = with_further(problem, search)
+    if len(made.best.keys) < 2:
+        return made
+    exchanged = with_exchanges(problem, made)
+    return made if exchanged is made else with_further(problem, exchanged)
 
 
 def _unknown(case: _Case, fit: FitResult, unknown: float, why: Reason) -> _Finding:

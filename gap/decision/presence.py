@@ -27,6 +27,7 @@ from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.form_freedom import form_freedom
 from gap.estimation.shape_fit import LOOSE, fit_shapes
 from gap.selection.candidate_fits import Hypothesis, fit_further, linear_gains
+from gap.selection.exchange import cost_without
 from gap.selection.inclusion import excess_chi2, visibility
 from gap.selection.search import SearchResult
 from plant.arrays import Array
@@ -55,6 +56,8 @@ class Evidence:
         chance: one sd of chi-square.
         alarm: gain that a first effect needs on these data.
         effects: number of effects of the explanation.
+        pairs: rise of chi-square, linearised, of the best exchange for up to two others, the cost
+            of effects included; 0 where it is the only effect.
         range: its amount as a share of the range of the catalogue.
         unknown: probability that the explanation, as a whole, stands for an effect outside the
             catalogue (`gap.decision.reliability`).
@@ -77,6 +80,7 @@ class Evidence:
     alarm: float = 28.0
     effects: float = 1.0
     range: float = 0.0
+    pairs: float = 0.0
 
     def features(self) -> Array:
         """Bounded numbers of order one, in the order of `FEATURES`."""
@@ -137,6 +141,7 @@ def evidence_of(problem: FitProblem, search: SearchResult, unknown: float) -> tu
     steady = _steadiness(problem, fit)
     several = len(fit.ids) > 1
     freedom = form_freedom(problem, fit)
+    pairs = cost_without(problem, search.best, search.alarm) if several else {}
     made = []
     for name in fit.ids:
         less = _without_effect(problem, fit, name) if several else problem.base
@@ -153,6 +158,7 @@ def evidence_of(problem: FitProblem, search: SearchResult, unknown: float) -> tu
                           for j, c in enumerate(fit.candidates) if c.id == name)),
                 float(not several), steady[name], unknown, freedom.instead[name], freedom.taken,
                 chance, search.alarm, float(len(fit.ids)), _of_range(fit, name),
+                pairs.get(name, 0.0),
             )
         )  # fmt: skip
     return tuple(made)

@@ -564,6 +564,11 @@ class FitProblem:
             self.rows.span_s, self.units, fit.shift,
         )  # fmt: skip
 
+    def exchange_columns(self, fit: FitResult) -> Array:
+        """Sensitivities at a fit: [constants | effects in force | all candidates]."""
+        slopes = self.slopes(fit.shift, fit.candidates, fit.amounts)
+        return np.hstack([self.columns_near(fit), slopes, self._candidate_columns(fit)])
+
     def schemes(self) -> dict[str, Whole]:
         """What can be held out whole: slots, and protocols and mountings with three or more."""
         made = {"slot": self.units}

@@ -117,6 +117,14 @@ class SelectionConfig:
     """Share of what is left from which it need not be visible. More effects found at once. Set on:
     sets 500 to 521 of the stream `several`, as is `beside_alarms`."""
 
+    # Exchanges of one or two effects for others (`gap.selection.exchange`)
+    exchange_cost: float = 1.0
+    """What an effect of an explanation costs, in alarms."""
+    exchange_fitted: int = 4
+    """Exchanges that are fitted in a round, best linear cost first."""
+    exchange_rounds: int = 4
+    """Most exchanges."""
+
     # Pruning
     needless_weight: float = 10.0
     """Linear weight of an effect, in alarms, from which no fit without it is tried."""

@@ -17,6 +17,7 @@ from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.selection.backward import refitted_without
 from gap.selection.candidate_fits import Hypothesis
 from gap.selection.config import SELECTION, SelectionConfig
+from gap.selection.exchange import with_exchanges
 from gap.selection.inclusion import (
     excess_chi2,
     leaves_nothing,
@@ -48,7 +49,7 @@ def prune(
     """Take defects and effects that are not needed out of what a search found."""
     candidates = search.best.fit.candidates
     if not any(candidate.defect for candidate in candidates):
-        return PruningResult(_needed(problem, _without_defects(search), config))
+        return PruningResult(_needed(problem, _exchanged(problem, search, config), config))
     first = candidates[0].defect
     if first and _is_defect(problem, search, config):
         return PruningResult(search, defect=True)
@@ -56,8 +57,14 @@ def prune(
     worse = clean.best.cost - search.best.cost
     uncertain = first and worse > config.sure_gain + config.defect_worse_share * search.gap
     return PruningResult(
-        _needed(problem, _without_defects(clean), config), uncertain_defect=uncertain
+        _needed(problem, _exchanged(problem, clean, config), config), uncertain_defect=uncertain
     )
+
+
+def _exchanged(problem: FitProblem, search: SearchResult, config: SelectionConfig) -> SearchResult:
+    """The outcome without defects; that no exchange makes better, where it has several effects."""
+    clean = _without_defects(search)
+    return with_exchanges(problem, clean, config) if len(clean.best.keys) > 1 else clean
 
 
 def _without_defects(search: SearchResult) -> SearchResult:
