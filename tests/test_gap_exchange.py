@@ -1,0 +1,131 @@
+"""Exchanges of effects for others, and free forms of effects in the place of one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gap.data.reader import read_dataset
+from gap.estimation.config import ESTIMATION
+from gap.estimation.fit_problem import FitProblem
+from gap.estimation.form_freedom import form_freedom
+from gap.estimation.information import tolerance
+from gap.estimation.shape_fit import fit_shapes
+from gap.selection.candidate_fits import Hypothesis
+from gap.selection.exchange import cost_without, proposals, with_exchanges
+from gap.selection.inclusion import excess_chi2
+from gap.selection.search import SearchResult
+from gap_sets import settled_set
+from plant.arrays import Array
+
+ALARM = 30.0
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> FitProblem:
+    """Settled points of a bench with a stiff liner and a load cell that reads 12 % too much."""
+    hidden = {"liner_threshold": {"threshold_kpa": 30.0}, "force_gain": {"percent": 12.0}}
+    folder = tmp_path_factory.mktemp("table") / "set"
+    return FitProblem.of(read_dataset(settled_set(folder, hidden, replicates=4)))
+
+
+def fitted(problem: FitProblem, *ids: str) -> Hypothesis:
+    candidates = [next(s for s in problem.candidates if s.id == name) for name in ids]
+    fit = problem.polish(fit_shapes(problem, problem.fit(candidates, [s.step for s in candidates])))
+    return Hypothesis(tuple(s.key for s in candidates), fit)
+
+
+def outcome(problem: FitProblem, best: Hypothesis) -> SearchResult:
+    """A search that ended at an explanation."""
+    gap = excess_chi2(problem, problem.base)
+    steps = tuple((key, gap / len(best.keys)) for key in best.keys)
+    left = excess_chi2(problem, best.fit)
+    return SearchResult(best, [], {}, gap, left, alarm=ALARM, steps=steps)
+
+
+def whitened(problem: FitProblem, columns: Array) -> Array:
+    """Columns with rows of unit noise."""
+    made = np.zeros_like(columns)
+    for trial, rows in enumerate(problem.noise.trial_rows):
+        if len(rows):
+            made[rows] = problem.noise.whiten(trial, columns[rows])
+    return made
+
+
+def cost_of(
+    problem: FitProblem, best: Hypothesis, columns: Array, y: Array, weight: Array
+) -> float:
+    """What least squares leave of `y` by `columns`, with sd 1 / sqrt(weight) for each of them."""
+    shift = best.fit.shift
+    cost, slope, stiffness = tolerance(shift)
+    n = len(shift)
+    # The prior of the constants as rows: half its slope and curvature where they stand.
+    pull = np.zeros((n, columns.shape[1]))
+    pull[:, :n] = np.diag(np.sqrt(stiffness))
+    ridge = np.diag(np.sqrt(weight))[weight > 0.0]
+    a = np.vstack([whitened(problem, columns), pull, ridge])
+    right = np.r_[
+        whitened(problem, y[:, None])[:, 0], -slope / np.sqrt(stiffness), 0.0 * ridge[:, 0]
+    ]
+    beta = np.linalg.lstsq(a, right, rcond=1e-13)[0]
+    offset = cost - float(np.sum(slope**2 / stiffness))
+    return float(np.sum((right - a @ beta) ** 2)) + offset
+
+
+def test_two_effects_take_the_place_of_two_that_stood_for_them(table: FitProblem) -> None:
+    wrong = fitted(table, "fibre_stretch", "pressure_gain")
+    found = with_exchanges(table, outcome(table, wrong))
+    assert set(found.best.keys) == {"liner_threshold", "force_gain"}
+    assert found.best.cost < wrong.cost - ALARM
+    assert found.left == excess_chi2(table, found.best.fit)
+    assert wrong in found.rivals
+
+
+def test_what_nothing_makes_better_stays_as_it_is(table: FitProblem) -> None:
+    right = outcome(table, fitted(table, "liner_threshold", "force_gain"))
+    assert with_exchanges(table, right) is right
+
+
+def test_the_cost_of_an_exchange_is_that_of_least_squares(table: FitProblem) -> None:
+    wrong = fitted(table, "fibre_stretch", "pressure_gain")
+    exchange = proposals(table, wrong, ALARM)[0]
+    fit = wrong.fit
+    columns = table.exchange_columns(fit)
+    n, k = len(table.names), len(fit.candidates)
+    own = [j for j, c in enumerate(fit.candidates) if c.key in exchange.out]
+    place = {id(c): n + k + j for j, c in enumerate(table.candidates)}
+    used = [*range(n), *(n + j for j in range(k) if j not in own)]
+    used += [place[id(c)] for c in exchange.entering]
+    y = fit.residual + columns[:, [n + j for j in own]] @ fit.amounts[own]
+    made = cost_of(table, wrong, columns[:, used], y, np.zeros(len(used)))
+    kept = len(wrong.keys) - len(exchange.out) + len(exchange.entering)
+    assert exchange.cost == pytest.approx(made + ALARM * kept, rel=1e-4, abs=0.1)
+
+
+def test_an_effect_that_is_there_costs_more_to_be_without(table: FitProblem) -> None:
+    right = fitted(table, "liner_threshold", "force_gain")
+    costs = cost_without(table, right, ALARM)
+    assert set(costs) == {"liner_threshold", "force_gain"}
+    assert 0.0 < costs["force_gain"] < costs["liner_threshold"]
+
+
+def test_free_forms_of_an_effect_take_no_other_s_place_where_it_is_alone(table: FitProblem) -> None:
+    one = fitted(table, "liner_threshold")
+    assert form_freedom(table, one.fit).instead == {"liner_threshold": 0.0}
+
+
+def test_what_free_forms_take_of_the_rest_is_that_of_least_squares(table: FitProblem) -> None:
+    from gap.estimation.form_freedom import _added, _bases
+
+    one = fitted(table, "liner_threshold")
+    freedom = form_freedom(table, one.fit)
+    columns = table.columns_of(one.fit)
+    free = _added(table, one.fit, "liner_threshold")[:, None] * _bases(table)
+    free = free[:, np.any(free != 0.0, axis=0)]
+    none = np.zeros(columns.shape[1])
+    sd = np.full(free.shape[1], ESTIMATION.form_freedom**-2)
+    before = cost_of(table, one, columns, one.fit.residual, none)
+    after = cost_of(table, one, np.hstack([columns, free]), one.fit.residual, np.r_[none, sd])
+    assert freedom.taken == pytest.approx(before - after, rel=1e-3, abs=0.1)
