@@ -5,6 +5,9 @@ of 1 to 8 floors, on a muscle that differs from the nominal one. A set is scored
 diagnose` would report it: what it refuses (`Status.NOMINAL_UNFIT`, `Status.DATA_UNFIT`) is counted
 by itself, and its effects are not named. A name counts where the verdict is sure of it. Prints one
 line a set and the totals; `--out` keeps them, and a stopped run goes on.
+
+An effect aimed at one floor may be smaller, since strengths are limited to realistic ones, and one
+that others take to more than 0.9 is not identifiable: the totals also count without them.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ import argparse
 import json
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +26,14 @@ from blind.__main__ import numbers_of
 from blind.exchange import write
 from blind.recording import record
 from blind.sets import SEVERAL, blind_set
+from gap.check.scoring.score import MIMICKED
 from gap.check.scoring.statistics import bins_of, debiased_error
 from gap.data.reader import read_dataset
 from gap.decision.diagnose import verdict_by_catalogue
 from gap.verdict import Status, Verdict, plain
 
+LEAST_SIZE = 1.0
+"""Floors, from which an effect counts among those that can be seen."""
 UNFIT = (Status.NOMINAL_UNFIT, Status.DATA_UNFIT)
 """Verdicts that refuse to diagnose: the stated plant, or the data, are not usable."""
 
@@ -44,7 +50,18 @@ def score(number: int, small: bool = False, strike: bool = False) -> dict[str, A
     with tempfile.TemporaryDirectory() as scratch:
         write(record(one), Path(scratch))
         verdict, _, _ = verdict_by_catalogue(read_dataset(Path(scratch)), struck)
-    return line_of(number, hidden, struck, verdict)
+    return {**line_of(number, hidden, struck, verdict), "members": members_of(one.measured)}
+
+
+def members_of(measured: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """Of each hidden effect its size alone, in floors, and what others take of it at most."""
+    return {
+        one["id"]: {
+            "size": float(one["gap_over_floor"]),
+            "mimic": max((float(other["share"]) for other in one["mimics"]), default=0.0),
+        }
+        for one in measured["members"]
+    }
 
 
 def line_of(
@@ -80,10 +97,27 @@ def totals(scores: Sequence[dict[str, Any]]) -> dict[str, Any]:
             "right": right, "of": hidden, "wrong": wrong,
             "share": right / max(hidden, 1), "wrong_share": wrong / max(right + wrong, 1),
         }  # fmt: skip
+    made["of_one_floor"] = _named_where(scores, lambda one: one["size"] >= LEAST_SIZE)
+    made["without_confounder"] = _named_where(
+        scores, lambda one: one["size"] >= LEAST_SIZE and one["mimic"] <= MIMICKED
+    )
     made["calibration"] = _calibration(scores)
     closed = [s["closed"] for s in scores if s["closed"] is not None]
     made["closed_median"] = float(np.median(closed)) if closed else None
     return made
+
+
+def _named_where(
+    scores: Sequence[dict[str, Any]], counts: Callable[[Mapping[str, float]], bool]
+) -> dict[str, Any]:
+    """Share of the hidden effects that count that is named, where their sizes are known."""
+    named = [
+        name in line["named"]
+        for line in scores
+        for name, one in line.get("members", {}).items()
+        if name in line["hidden"] and counts(one)
+    ]
+    return {"right": sum(named), "of": len(named), "share": sum(named) / max(len(named), 1)}
 
 
 def _calibration(scores: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -14,13 +14,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from gap.estimation.config import ESTIMATION
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.information import tolerance
 from gap.model.empirical import inputs_of
 from gap.model.features import BLOCKS
 from plant.arrays import Array
+
+Whole = npt.NDArray[np.int64]
 
 _EDGE_S = 0.03
 """Seconds after an edge that part its course in two: valves take ten milliseconds, gas more."""
@@ -45,6 +47,7 @@ def form_freedom(problem: FitProblem, fit: FitResult) -> FormFreedom:
     ids = fit.ids
     n = len(problem.names)
     columns = problem.columns_of(fit)
+    width = columns.shape[1]
     own = {name: [n + j for j, c in enumerate(fit.candidates) if c.id == name] for name in ids}
     added = np.stack([_added(problem, fit, name) for name in ids], axis=1)
     bases = _bases(problem)
@@ -52,40 +55,27 @@ def form_freedom(problem: FitProblem, fit: FitResult) -> FormFreedom:
     used = np.flatnonzero(np.any(free != 0.0, axis=0))
     of_free = np.repeat(np.arange(len(ids)), bases.shape[1])[used]
     free = free[:, used]
-    everything = np.hstack([columns, free, added, fit.residual[:, None]])
-    gram = np.zeros((everything.shape[1],) * 2)
-    for trial, rows in enumerate(problem.noise.trial_rows):
-        if len(rows):
-            gram += problem.noise.solve(trial, everything[rows])[0]
-    _, slope, stiffness = tolerance(fit.shift)
-    width = columns.shape[1]
-    at_free = width + np.arange(len(used))
-    prior = np.zeros(width + len(used))
-    prior[:n] = stiffness
-    prior[width:] = ESTIMATION.form_freedom**-2
-    pull = np.zeros(width + len(used))
-    pull[:n] = slope
-    matrix = gram[: len(prior), : len(prior)] + np.diag(prior)
+    matrix, right = problem.normal(np.hstack([columns, free, added]), fit.residual, fit.shift)
+    end = width + free.shape[1]
+    matrix[range(width, end), range(width, end)] += ESTIMATION.form_freedom**-2
 
-    def gain(at: Array, right: Array) -> float:
-        scale = np.sqrt(np.maximum(np.diag(matrix)[at], 1e-300))
-        inner = matrix[np.ix_(at, at)] / scale / scale[:, None] + 1e-10 * np.eye(len(at))
-        return float(right[at] / scale @ np.linalg.solve(inner, right[at] / scale))
+    def gain(at: Whole, right: Array) -> float:
+        """Fall of chi-square by the columns `at`."""
+        unit = np.sqrt(np.maximum(np.diag(matrix)[at], 1e-300))
+        inner = matrix[np.ix_(at, at)] / unit / unit[:, None] + 1e-10 * np.eye(len(at))
+        return float(right[at] / unit @ np.linalg.solve(inner, right[at] / unit))
 
-    residual = gram[: len(prior), -1] - pull
-    whole = np.arange(width)
-    taken = gain(np.r_[whole, at_free], residual) - gain(whole, residual)
+    whole, forms = np.arange(width), np.arange(width, end)
+    taken = gain(np.r_[whole, forms], right) - gain(whole, right)
     instead = {}
     for k, name in enumerate(ids):
-        less = np.array([j for j in whole if j not in own[name]], dtype=np.int64)
-        others = at_free[of_free != k]
-        if not len(others):
-            instead[name] = 0.0
-            continue
-        right = residual + gram[: len(prior), len(prior) + k]
-        without = gain(less, right)
-        lost = gain(whole, right) - without
-        instead[name] = (gain(np.r_[less, others], right) - without) / max(lost, 1e-9)
+        less = np.array([j for j in whole.tolist() if j not in own[name]], dtype=np.int64)
+        others = forms[of_free != k]
+        # Without the effect, what it has added is left to explain.
+        left = right + matrix[:, end + k]
+        without = gain(less, left)
+        lost = gain(whole, left) - without
+        instead[name] = (gain(np.r_[less, others], left) - without) / max(lost, 1e-9)
     return FormFreedom(instead, max(taken, 0.0))
 
 

@@ -16,16 +16,18 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+import numpy.typing as npt
 
 from gap.effects.candidates import Candidate
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.estimation.information import tolerance
 from gap.estimation.shape_fit import fit_shapes
 from gap.selection.candidate_fits import Hypothesis
 from gap.selection.config import SELECTION, SelectionConfig
 from gap.selection.inclusion import excess_chi2
 from gap.selection.search import SearchResult
 from plant.arrays import Array
+
+Flags = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -118,104 +120,120 @@ def proposals(
 
 _KEPT = 40
 """Pairs of candidates that are kept for each set of effects that leaves."""
+_ALIKE = 1e-3
+"""Share of a candidate's square beyond another, below which the two cannot be told apart."""
+
+
+@dataclass(frozen=True)
+class _Opening:
+    """What candidates may take once some effects are out and all others have given way.
+
+    Attributes:
+        out: keys that leave.
+        kept: number of keys that stay.
+        candidates: that may enter: of families that are not there.
+        products: inner products of what is theirs alone, shape (candidates, candidates).
+        taken: the same with what is to be explained, shape (candidates,).
+        cost: chi-square before any of them enters.
+    """
+
+    out: tuple[str, ...]
+    kept: int
+    candidates: tuple[Candidate, ...]
+    products: Array
+    taken: Array
+    cost: float
+
+    @property
+    def norm(self) -> Array:
+        """Square of what each candidate has alone."""
+        return np.maximum(np.diag(self.products), 1e-9)
+
+    @property
+    def positive(self) -> Flags:
+        """Candidates whose amounts may not be negative."""
+        return np.array([candidate.sign > 0 for candidate in self.candidates])
+
+    def with_one(self, each: float) -> Iterator[Exchange]:
+        """Exchanges for one candidate."""
+        amounts = self.taken / self.norm
+        cost = self.cost - self.taken * amounts + each * (self.kept + 1)
+        for j in np.flatnonzero(~(self.positive & (amounts < 0.0))).tolist():
+            yield Exchange(self.out, (self.candidates[j],), (float(amounts[j]),), float(cost[j]))
+
+    def with_two(self, each: float) -> Iterator[Exchange]:
+        """The best exchanges for two candidates of different families."""
+        norm, across, taken = self.norm, self.products, self.taken
+        squares = norm[:, None] * norm
+        det = squares - across**2
+        wrong = det < _ALIKE * squares
+        det = np.where(wrong, 1.0, det)
+        first = (taken[:, None] * norm - across * taken) / det
+        second = (taken * norm[:, None] - across * taken[:, None]) / det
+        family = np.array([candidate.family for candidate in self.candidates])
+        wrong |= family[:, None] == family
+        wrong |= self.positive[:, None] & (first < 0.0)
+        wrong |= self.positive & (second < 0.0)
+        wrong |= np.tri(len(norm), dtype=bool)
+        gain = np.where(wrong, -np.inf, first * taken[:, None] + second * taken)
+        below = self.cost + each * (self.kept + 2)
+        for flat in np.argsort(-gain, axis=None)[:_KEPT].tolist():
+            i, j = divmod(flat, len(norm))
+            if not np.isfinite(gain[i, j]):
+                break
+            yield Exchange(
+                self.out, (self.candidates[i], self.candidates[j]),
+                (float(first[i, j]), float(second[i, j])), float(below - gain[i, j]),
+            )  # fmt: skip
 
 
 def _exchanges(problem: FitProblem, best: Hypothesis, each: float) -> Iterator[Exchange]:
-    fit = best.fit
-    candidates = [c for c in problem.candidates if not c.defect]
-    gram, right, n = _products(problem, fit, candidates)
-    k = len(fit.candidates)
-    family = np.array([c.family for c in candidates])
-    positive = np.array([c.sign > 0 for c in candidates])
+    """Exchanges of one or two effects for one or two others, linearised at the explanation."""
+    for opening in _openings(problem, best):
+        yield from opening.with_one(each)
+        yield from opening.with_two(each)
+
+
+def _openings(problem: FitProblem, best: Hypothesis) -> Iterator[_Opening]:
+    """What is left to explain without any one or two of the effects."""
+    fit, n = best.fit, len(problem.names)
+    here = n + np.arange(len(fit.candidates))
+    beyond = n + len(here)
+    gram, right = _products(problem, fit)
     for out in (*combinations(best.keys, 1), *combinations(best.keys, 2)):
-        own = [j for j, c in enumerate(fit.candidates) if c.key in out]
-        stay = np.r_[np.arange(n), [n + j for j in range(k) if j not in own]].astype(np.int64)
-        rest = n + k + np.arange(len(candidates))
+        leaves = np.array([candidate.key in out for candidate in fit.candidates])
+        own, amounts = here[leaves], fit.amounts[leaves]
+        stay = np.r_[np.arange(n), here[~leaves]]
+        there = {c.family for c, gone in zip(fit.candidates, leaves, strict=True) if not gone}
+        may = [
+            j
+            for j, c in enumerate(problem.candidates)
+            if not c.defect and c.key not in out and c.family not in there
+        ]
+        enter = beyond + np.array(may, dtype=np.int64)
         # What the effects that leave have added is to be explained anew.
-        y = right.copy()
-        for j in own:
-            y = y + gram[:, n + j] * fit.amounts[j]
-        inner = gram[np.ix_(stay, stay)]
-        scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-        inner = inner / scale / scale[:, None] + 1e-10 * np.eye(len(stay))
-        across = gram[np.ix_(stay, rest)] / scale[:, None]
-        both = np.linalg.solve(inner, np.column_stack([across, y[stay] / scale]))
-        s = gram[np.ix_(rest, rest)] - across.T @ both[:, :-1]
-        r = y[rest] - across.T @ both[:, -1]
-        lost = sum(
-            2.0 * fit.amounts[j] * right[n + j]
-            + sum(fit.amounts[j] * gram[n + j, n + i] * fit.amounts[i] for i in own)
-            for j in own
+        y = right + gram[:, own] @ amounts
+        added = float(2.0 * amounts @ right[own] + amounts @ gram[np.ix_(own, own)] @ amounts)
+        unit = np.sqrt(np.maximum(np.diag(gram)[stay], 1e-300))
+        inner = gram[np.ix_(stay, stay)] / unit / unit[:, None] + 1e-10 * np.eye(len(stay))
+        across = gram[np.ix_(stay, enter)] / unit[:, None]
+        given = np.linalg.solve(inner, np.column_stack([across, y[stay] / unit]))
+        yield _Opening(
+            out,
+            len(best.keys) - len(out),
+            tuple(problem.candidates[j] for j in may),
+            gram[np.ix_(enter, enter)] - across.T @ given[:, :-1],
+            y[enter] - across.T @ given[:, -1],
+            fit.cost + added - float(y[stay] / unit @ given[:, -1]),
         )
-        gained = float(y[stay] / scale @ both[:, -1])
-        below = fit.cost + float(lost) - gained
-        there = {c.family for c in fit.candidates if c.key not in out}
-        usable = np.array([f not in there for f in family])
-        usable &= np.array([c.key not in out for c in candidates])
-        norm = np.maximum(np.diag(s), 1e-9)
-        fixed = len(best.keys) - len(out)
-        for j in np.flatnonzero(usable):
-            amount = r[j] / norm[j]
-            if not (positive[j] and amount < 0.0):
-                cost = below - r[j] ** 2 / norm[j] + each * (fixed + 1)
-                yield Exchange(out, (candidates[j],), (float(amount),), float(cost))
-        yield from _pairs(
-            out, candidates, s, r, np.where(usable)[0], positive, family,
-            below + each * (fixed + 2),
-        )  # fmt: skip
 
 
-def _pairs(
-    out: tuple[str, ...], candidates: list[Candidate], s: Array, r: Array, at: Array,
-    positive: Array, family: Array, below: float,
-) -> Iterator[Exchange]:  # fmt: skip
-    """The best pairs that may enter in the place of `out`."""
-    a = s[np.ix_(at, at)]
-    norm = np.maximum(np.diag(a), 1e-9)
-    det = norm[:, None] * norm - a**2
-    alike = det < 1e-3 * norm[:, None] * norm
-    det = np.where(alike, 1.0, det)
-    q = r[at]
-    first = (q[:, None] * norm - a * q) / det
-    second = (q * norm[:, None] - a * q[:, None]) / det
-    gain = first * q[:, None] + second * q
-    wrong = alike | (family[at][:, None] == family[at])
-    wrong |= positive[at][:, None] & (first < 0.0)
-    wrong |= positive[at] & (second < 0.0)
-    gain = np.where(wrong | np.tri(len(at), dtype=bool), -np.inf, gain)
-    for flat in np.argsort(-gain, axis=None)[:_KEPT].tolist():
-        i, j = divmod(flat, len(at))
-        if not np.isfinite(gain[i, j]):
-            break
-        yield Exchange(
-            out, (candidates[at[i]], candidates[at[j]]), (float(first[i, j]), float(second[i, j])),
-            float(below - gain[i, j]),
-        )  # fmt: skip
+def _products(problem: FitProblem, fit: FitResult) -> tuple[Array, Array]:
+    """Inner products of [constants | effects in force | candidates], and those with the residual.
 
-
-def _products(
-    problem: FitProblem, fit: FitResult, candidates: list[Candidate]
-) -> tuple[Array, Array, int]:
-    """Inner products of [constants | effects in force | candidates], and with the residual.
-
-    The prior of the constants is included. Also the number of constants.
+    The prior of the constants is in both.
     """
-    made = problem.exchange_columns(fit)
-    n = len(problem.names)
-    place = {id(c): j for j, c in enumerate(problem.candidates)}
-    k = len(fit.candidates)
-    at = np.r_[np.arange(n + k), [n + k + place[id(c)] for c in candidates]].astype(np.int64)
-    both = np.column_stack([made[:, at], fit.residual])
-    gram = np.zeros((len(at) + 1,) * 2)
-    for trial, rows in enumerate(problem.noise.trial_rows):
-        if len(rows):
-            gram += problem.noise.solve(trial, both[rows])[0]
-    _, slope, stiffness = tolerance(fit.shift)
-    right = gram[:-1, -1].copy()
-    gram = gram[:-1, :-1].copy()
-    gram[range(n), range(n)] += stiffness
-    right[:n] -= slope
-    return gram, right, n
+    return problem.normal(problem.exchange_columns(fit), fit.residual, fit.shift)
 
 
 def _fitted(
