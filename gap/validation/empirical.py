@@ -91,8 +91,11 @@ class Piece:
     rough: Array
 
     def holds(self, other: Piece) -> bool:
-        """Whether it can be what the other is: a product holds what its inputs do alone."""
-        return self.scale == other.scale and set(other.inputs) <= set(self.inputs)
+        """Whether it can be what the other is: a product holds what its inputs do alone, splines
+        hold a line.
+        """
+        inside = set(other.inputs) <= set(self.inputs)
+        return self.scale == other.scale and inside and len(self.at) >= len(other.at)
 
     @property
     def groups(self) -> frozenset[str]:
@@ -176,9 +179,8 @@ class TermSearch:
                 made.append(piece)
                 continue
             left = [n for n in piece.inputs if INPUTS[n] in groups]
-            made += [
-                one for one in self.pieces if list(one.inputs) == left and one.scale == piece.scale
-            ]
+            alone = [p for p in self.pieces if list(p.inputs) == left and p.scale == piece.scale]
+            made += sorted(alone, key=lambda one: len(one.at))[-1:]
         return list({id(piece): piece for piece in made}.values())
 
     def shares(self, chosen: Sequence[Piece]) -> dict[str, float]:
@@ -333,17 +335,21 @@ def _pieces(at: dict[str, Array], count: int) -> tuple[tuple[Piece, ...], Array]
         for name, x in at.items()
         if name in INPUTS and np.ptp(x) > 1e-6 * (1.0 + np.abs(x).max())
     }
-    wanted: list[tuple[str, tuple[str, ...]]] = [("", ())]
-    wanted += [("", (name,)) for name in varied]
-    wanted += [("", pair) for pair in _PRODUCTS]
-    wanted += [(scale, (name,)) for scale, name in _SCALED if scale in at]
+    single = [("", name) for name in varied] + [(s, name) for s, name in _SCALED if s in at]
+    wanted: list[tuple[str, tuple[str, ...], int]] = [("", (), 0)]
+    wanted += [(scale, (name,), _most_knots(name, 1)) for scale, name in single]
+    # A line carries to slots beyond the others' range, where splines go astray.
+    wanted += [(scale, (name,), 2) for scale, name in single if name != "since_edge_s"]
+    wanted += [("", pair, 0) for pair in _PRODUCTS]
     made: list[Piece] = []
     columns: list[Array] = []
     first = 0
-    for scale, inputs in wanted:
+    for scale, inputs, most in wanted:
         if not all(name in varied for name in inputs):
             continue
-        knots = tuple(_knots(varied[n], _most_knots(n, len(inputs)), n) for n in inputs)
+        knots = tuple(_knots(varied[n], most or _most_knots(n, len(inputs)), n) for n in inputs)
+        if most == 2 and len(np.unique(np.round(varied[inputs[0]], 6))) <= 3:
+            continue  # the splines on so few settings say as much
         own = product_splines([varied[n] for n in inputs], knots, count)
         columns.append(own * at[scale][:, None] if scale else own)
         width = own.shape[1]
