@@ -1,4 +1,4 @@
-"""Exchanges of effects for others, and free forms of effects in the place of one."""
+"""Exchanges of effects of an explanation for others."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from gap.data.reader import read_dataset
-from gap.estimation.config import ESTIMATION
 from gap.estimation.fit_problem import FitProblem
-from gap.estimation.form_freedom import form_freedom
 from gap.estimation.information import tolerance
 from gap.estimation.shape_fit import fit_shapes
 from gap.selection.candidate_fits import Hypothesis
-from gap.selection.exchange import cost_without, proposals, with_exchanges
+from gap.selection.exchange import proposals, with_exchanges
 from gap.selection.inclusion import excess_chi2
 from gap.selection.search import SearchResult
 from gap_sets import settled_set
@@ -52,21 +50,15 @@ def whitened(problem: FitProblem, columns: Array) -> Array:
     return made
 
 
-def cost_of(
-    problem: FitProblem, best: Hypothesis, columns: Array, y: Array, weight: Array
-) -> float:
-    """What least squares leave of `y` by `columns`, with sd 1 / sqrt(weight) for each of them."""
-    shift = best.fit.shift
-    cost, slope, stiffness = tolerance(shift)
-    n = len(shift)
+def cost_of(problem: FitProblem, best: Hypothesis, columns: Array, y: Array) -> float:
+    """What least squares leave of `y` by `columns`, the prior of the constants included."""
+    cost, slope, stiffness = tolerance(best.fit.shift)
+    n = len(slope)
     # The prior of the constants as rows: half its slope and curvature where they stand.
     pull = np.zeros((n, columns.shape[1]))
     pull[:, :n] = np.diag(np.sqrt(stiffness))
-    ridge = np.diag(np.sqrt(weight))[weight > 0.0]
-    a = np.vstack([whitened(problem, columns), pull, ridge])
-    right = np.r_[
-        whitened(problem, y[:, None])[:, 0], -slope / np.sqrt(stiffness), 0.0 * ridge[:, 0]
-    ]
+    a = np.vstack([whitened(problem, columns), pull])
+    right = np.r_[whitened(problem, y[:, None])[:, 0], -slope / np.sqrt(stiffness)]
     beta = np.linalg.lstsq(a, right, rcond=1e-13)[0]
     offset = cost - float(np.sum(slope**2 / stiffness))
     return float(np.sum((right - a @ beta) ** 2)) + offset
@@ -97,33 +89,6 @@ def test_the_cost_of_an_exchange_is_that_of_least_squares(table: FitProblem) -> 
     used = [*range(n), *(n + j for j in range(k) if j not in own)]
     used += [place[id(c)] for c in exchange.entering]
     y = fit.residual + columns[:, [n + j for j in own]] @ fit.amounts[own]
-    made = cost_of(table, wrong, columns[:, used], y, np.zeros(len(used)))
+    made = cost_of(table, wrong, columns[:, used], y)
     kept = len(wrong.keys) - len(exchange.out) + len(exchange.entering)
     assert exchange.cost == pytest.approx(made + ALARM * kept, rel=1e-4, abs=0.1)
-
-
-def test_an_effect_that_is_there_costs_more_to_be_without(table: FitProblem) -> None:
-    right = fitted(table, "liner_threshold", "force_gain")
-    costs = cost_without(table, right, ALARM)
-    assert set(costs) == {"liner_threshold", "force_gain"}
-    assert 0.0 < costs["force_gain"] < costs["liner_threshold"]
-
-
-def test_free_forms_of_an_effect_take_no_other_s_place_where_it_is_alone(table: FitProblem) -> None:
-    one = fitted(table, "liner_threshold")
-    assert form_freedom(table, one.fit).instead == {"liner_threshold": 0.0}
-
-
-def test_what_free_forms_take_of_the_rest_is_that_of_least_squares(table: FitProblem) -> None:
-    from gap.estimation.form_freedom import _added, _bases
-
-    one = fitted(table, "liner_threshold")
-    freedom = form_freedom(table, one.fit)
-    columns = table.columns_of(one.fit)
-    free = _added(table, one.fit, "liner_threshold")[:, None] * _bases(table)
-    free = free[:, np.any(free != 0.0, axis=0)]
-    none = np.zeros(columns.shape[1])
-    sd = np.full(free.shape[1], ESTIMATION.form_freedom**-2)
-    before = cost_of(table, one, columns, one.fit.residual, none)
-    after = cost_of(table, one, np.hstack([columns, free]), one.fit.residual, np.r_[none, sd])
-    assert freedom.taken == pytest.approx(before - after, rel=1e-3, abs=0.1)

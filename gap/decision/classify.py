@@ -305,9 +305,11 @@ def _by_presence(
     """
     config = case.config
     wider = replace(case, search=further)
-    sure = tuple(name for name in further.best.fit.ids if odds[name] >= config.present)
+    refused = finding.status is Status.UNKNOWN
     single = len(case.search.best.fit.ids) == 1
-    if finding.status is Status.UNKNOWN:
+    least = config.present if refused or single else config.needless
+    sure = tuple(name for name in further.best.fit.ids if odds[name] >= least)
+    if refused:
         # The refusal of one effect was learnt on single effects. It says nothing of an explanation
         # of several that leaves a small part of what the one left.
         single = single and further.left > config.beyond_single * case.search.left

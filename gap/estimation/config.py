@@ -40,9 +40,6 @@ class EstimationConfig:
     the effect of the same meaning. Set on: not recorded."""
 
     # Intervals
-    form_freedom: float = 0.3
-    """How far a free form may deviate, 1 sd, as a share of what its effect adds. No other value was
-    tried."""
     form_error: float = 0.1
     """Error (1 sd, of the logarithm) of the form of an effect for which none is stated."""
 

@@ -84,23 +84,6 @@ def with_exchanges(
     )
 
 
-def cost_without(problem: FitProblem, best: Hypothesis, each: float) -> dict[str, float]:
-    """By effect, how much the best exchange that takes it out costs more than the explanation.
-
-    All linearised at the explanation; below zero where the exchange costs less.
-
-    Args:
-        each: what an effect costs, in chi-square.
-    """
-    now = best.cost + each * len(best.keys)
-    made: dict[str, float] = {}
-    for exchange in _exchanges(problem, best, each):
-        for name in {key.partition(":")[0] for key in exchange.out}:
-            if not any(k.partition(":")[0] == name for k in best.keys if k not in exchange.out):
-                made[name] = min(made.get(name, np.inf), exchange.cost - now)
-    return made
-
-
 def proposals(
     problem: FitProblem, best: Hypothesis, each: float, config: SelectionConfig = SELECTION
 ) -> list[Exchange]:
