@@ -135,7 +135,7 @@ class _Opening:
     @property
     def positive(self) -> Flags:
         """Candidates whose amounts may not be negative."""
-        return np.array([candidate.sign > 0 for candidate in self.candidates])
+        return np.array([candidate.sign > 0 for candidate in self.candidates], dtype=np.bool_)
 
     def with_one(self, each: float) -> Iterator[Exchange]:
         """Exchanges for one candidate."""
