@@ -52,7 +52,8 @@ class EstimationConfig:
     """Shift of a constant of the muscle, in sd, from which the plant is that of another muscle: at
     1 % of the turns and 0.3 % of the braid 12 % and 4 %. Set on: the same."""
     doubt_left: float = 0.1
-    """Most of the gap that effects may leave of a plant in doubt for the doubt to go."""
+    """Most of the gap that effects may leave of a plant in doubt for the doubt to go, and least
+    part of it that an effect takes that may stand for another muscle."""
     another_muscle: float = 0.2
     """One sd of length and turns of another muscle, as a share of them, that a plant in doubt is
     compared with. No other value was tried."""

@@ -98,19 +98,19 @@ def doubts_left(
         foreign
         or faulty
         or left > config.doubt_left * gap
-        or _is_another_muscle(problem, fit, left, config)
+        or _is_another_muscle(problem, fit, gap, left, config)
     ):
         return stated
     return doubts(problem, fit, config)
 
 
 def _is_another_muscle(
-    problem: FitProblem, fit: FitResult, left: float, config: EstimationConfig
+    problem: FitProblem, fit: FitResult, gap: float, left: float, config: EstimationConfig
 ) -> bool:
     """Whether a muscle of other length and turns does what the effects do, or one of them.
 
     Such an effect may only stand for it: without the effect, more is left of the nominal muscle
-    and not of the other one.
+    and not of the other one. What takes a small part of the gap stands for no muscle.
     """
     other = problem.with_free_constants(_MUSCLE, config.another_muscle)
     if (other.base.cost - len(problem.rows)) * config.doubt_left < left:
@@ -119,6 +119,8 @@ def _is_another_muscle(
     for name in fit.ids:
         kept = fit.kept(partial(_is_other, name))
         lost = problem.polish(problem.fit(*kept)).cost - fit.cost
+        if lost < config.doubt_left * gap:
+            continue
         other_lost = other.polish(other.fit(*kept)).cost - whole.cost
         if other_lost < config.stands_for_muscle * lost:
             return True
