@@ -74,11 +74,13 @@ def draw_secret(
     outside_share: float = 0.0,
     nominal_share: float = 0.0,
     effects: Sequence[str] | None = None,
+    held_out: bool = False,
 ) -> Secret:
     """A secret effect of `size` floors (range) on a mixed design, in a form of its own.
 
     entropy: None takes the operating system's. keys: constants by a bench file's names.
-    effects: ids to draw from (all of the catalogue otherwise).
+    effects: ids to draw from (all of the catalogue otherwise). held_out: in a form that is held
+    out, for a campaign alone.
     """
     seed = secrets.randbits(96) if entropy is None else entropy
     rng = np.random.default_rng(np.random.SeedSequence(seed))
@@ -92,7 +94,8 @@ def draw_secret(
     design = draw_design(rng, [entry.needs], False, False, False)
     design = replace(design, stated=stated, true=true, keys=dict(keys or {}))
     recalibration = Recalibration(design, draw_noise(rng, False))
-    hidden = sized(draw(entry, rng, stated), float(rng.uniform(*size)), recalibration, design)
+    drawn = draw(entry, rng, stated, held_out=held_out)
+    hidden = sized(drawn, float(rng.uniform(*size)), recalibration, design)
     return Secret((hidden,), true, measure(recalibration, [hidden]))
 
 

@@ -35,7 +35,8 @@ MIMICKED = 0.9
 Row = dict[str, Any]
 HOW = f"""
 Each seed draws one effect of the catalogue with the package `blind` (another integrator, other
-functional forms, other true constants within their tolerances). Its size is such that the
+functional forms, other true constants within their tolerances); forms from 3 on are held out
+(`--held-out` draws them alone). Its size is such that the
 recalibrated gap is 3 to 6 floors on a mixed design of the generator. The effect is built into the
 virtual bench of the rig `{RIG}`. It is drawn again if the rig's own protections end one of the
 first two tests: a sensor that reads 24 kPa when vented is refused, as on a real bench. The salted
@@ -57,10 +58,10 @@ def entropy_of(seed: int) -> int:
     return int.from_bytes(hashlib.sha256(f"withheld bench {seed}".encode()).digest()[:12], "big")
 
 
-def one(seed: int, config: RigConfig, out: Path, budget_min: float) -> Row:
+def one(seed: int, config: RigConfig, out: Path, budget_min: float, held_out: bool = False) -> Row:
     """Hide, seal, investigate, open, judge."""
     running = time.process_time()
-    secret = draw_runnable(config, entropy=entropy_of(seed))
+    secret = draw_runnable(config, entropy=entropy_of(seed), held_out=held_out)
     bench = WithheldBench(config, secret, VirtualClock())
     drawn = time.process_time()
     row: Row = {"seed": seed, "sha256": bench.digest}
@@ -201,9 +202,9 @@ def page(rows: list[Row], command: str) -> str:
         f"{len(rows)} seeds, {cpu / 60:.0f} min of CPU; bench time per seed: "
         f"{_middle([r.get('minutes', 0.0) for r in rows]):.0f} min (median).",
         "",
-        "| seed | hidden | amount | floors | confounder | tests | conclusion | set | score "
+        "| seed | hidden | form | amount | floors | confounder | tests | conclusion | set | score "
         "| reference |",
-        "|--:|---|---|--:|--:|---|---|---|---|---|",
+        "|--:|---|--:|---|--:|--:|---|---|---|---|---|",
     ]
     return "\n".join([*lines, *(_table_row(r) for r in rows), ""])
 
@@ -226,9 +227,9 @@ def _table_row(row: Row) -> str:
     asked = row["conclusion"] == "needs reference"
     reference = row["references"].get(hidden["id"], "") if asked else ""
     cells = (
-        row["seed"], hidden["id"], amount, f"{measured.get('gap_over_floor', 0.0):.1f}",
-        f"{measured.get('mimic_index', 0.0):.2f}", tests,
-        f"{row['conclusion']} ({_how(row)})", best, word_for(row),
+        row["seed"], hidden["id"], hidden["form"], amount,
+        f"{measured.get('gap_over_floor', 0.0):.1f}", f"{measured.get('mimic_index', 0.0):.2f}",
+        tests, f"{row['conclusion']} ({_how(row)})", best, word_for(row),
         reference,
     )  # fmt: skip
     return "| " + " | ".join(str(cell).replace("|", "/") for cell in cells) + " |"
@@ -254,6 +255,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.withheld_campaign", description=__doc__)
     parser.add_argument("--seeds", default="0-39")
     parser.add_argument("--rig", default=RIG)
+    parser.add_argument("--held-out", action="store_true", help="hide forms that are held out")
     parser.add_argument("--budget", type=float, default=60.0, help="bench minutes a seed")
     parser.add_argument("--journal", type=Path, default=Path("out/withheld.jsonl"))
     parser.add_argument("--keep", type=Path, help="keep runs and data here")
@@ -266,7 +268,7 @@ def main() -> int:
             continue
         folder = args.keep / str(seed) if args.keep else Path(tempfile.mkdtemp())
         try:
-            row = one(seed, load_rig(args.rig, seed), folder, args.budget)
+            row = one(seed, load_rig(args.rig, seed), folder, args.budget, args.held_out)
         finally:
             if not args.keep:
                 shutil.rmtree(folder, ignore_errors=True)
@@ -279,7 +281,10 @@ def main() -> int:
         low, high = value.interval
         print(f"{name}: {value.hits}/{value.of} ({100 * low:.0f} to {100 * high:.0f} %)")
     if args.page:
-        command = f"python -m tests.withheld_campaign --seeds {args.seeds} --page {args.page}"
+        forms = "--held-out " if args.held_out else ""
+        command = (
+            f"python -m tests.withheld_campaign {forms}--seeds {args.seeds} --page {args.page}"
+        )
         args.page.write_text(page(wanted, command), encoding="utf-8")
     return 0
 

@@ -31,6 +31,7 @@ def draw_runnable(
     effects: Sequence[str] = (),
     entropy: int | None = None,
     report: Callable[[str], None] = lambda text: None,
+    held_out: bool = False,
 ) -> Secret:
     """As :func:`rigs.virtual.withheld.bench.draw`, repeated until the bench can run its tests.
 
@@ -40,7 +41,8 @@ def draw_runnable(
         ConfigError: as `draw`, or the rig rejects all of `TRIES` secrets.
     """
     for attempt in range(TRIES):
-        secret = draw(config, effects, None if entropy is None else entropy + attempt * _OTHER)
+        seed = None if entropy is None else entropy + attempt * _OTHER
+        secret = draw(config, effects, seed, held_out)
         refused = refusal(config, secret)
         if refused is None:
             return secret

@@ -49,8 +49,15 @@ _STATED = (
 )  # fmt: skip
 
 
-def draw(config: RigConfig, effects: Sequence[str] = (), entropy: int | None = None) -> Secret:
+def draw(
+    config: RigConfig,
+    effects: Sequence[str] = (),
+    entropy: int | None = None,
+    held_out: bool = False,
+) -> Secret:
     """A secret for this rig's muscle and valves; `entropy` None takes the operating system's.
+
+    `held_out` draws a form that is held out, for a campaign alone.
 
     Raises:
         ConfigError: the rig has no virtual bench, or states an effect of its own.
@@ -62,7 +69,7 @@ def draw(config: RigConfig, effects: Sequence[str] = (), entropy: int | None = N
             config.source, "states effects of its own", "a withheld bench draws its effect itself"
         )
     keys = {k: float(v) for k, v in config.virtual.plant.items() if k in _STATED}
-    return draw_secret(entropy=entropy, keys=keys, effects=list(effects) or None)
+    return draw_secret(entropy=entropy, keys=keys, effects=list(effects) or None, held_out=held_out)
 
 
 class WithheldBench(VirtualBench):
