@@ -211,3 +211,19 @@ def test_sets_with_held_out_forms_never_teach() -> None:
     bad["score"] = {**bad["score"], "stream": "held_out"}  # type: ignore[dict-item]
     with pytest.raises(CheckError, match="never teach"):
         cases([bad])
+
+
+def test_where_none_of_several_is_there_by_itself_none_is_named(two: _Case) -> None:
+    accepted = replace(refused(two), status=Status.NAMED)
+    odds = dict.fromkeys(TWO, 0.7)
+    _, finding = _by_presence(two, accepted, two.search, odds)
+    assert finding.status is Status.INDISTINGUISHABLE
+    assert finding.sure == ()
+    assert "49 %" in str(finding.reason)
+
+
+def test_of_two_that_fit_alike_neither_is_there_with_more_than_one_half() -> None:
+    apart = Evidence("leak", 100.0, 1e5, 1e4, 1e4, 4.0, 3.0, 0.0, 0.0, 50.0, 0.0)
+    alike = replace(apart, margin=2.0)
+    assert shipped_presence().of(apart) > 0.9
+    assert shipped_presence().of(alike) == 0.5

@@ -296,8 +296,8 @@ def _by_presence(
 
     Where an explanation of several effects is refused as a whole, those that are there in any case
     are named, and the rest of the gap stays unknown. Where it is accepted, it goes without effects
-    that are rather not there, and with further ones that are. Where several fit, those on which
-    they agree are sure.
+    that are rather not there, and with further ones that are; where none of several is there by
+    itself, none is named. Where several fit, those on which they agree are sure.
 
     Args:
         further: the search with further effects beside its best explanation (`with_further`).
@@ -325,6 +325,10 @@ def _by_presence(
             return part, _as_whole(part, found) if whole else found
         if kept and len(kept) < len(ids):
             return _partly(case, finding, kept, odds) or (case, finding)
+        if not kept and len(ids) > 1:
+            whole = float(np.prod([odds.get(name, 0.0) for name in ids]))
+            why = reason(Cause.UNRELIABLE, names=case.names, percent=100 * whole)
+            return case, replace(finding, status=Status.INDISTINGUISHABLE, reason=why)
         return case, replace(finding, sure=ids)
     if finding.status is Status.INDISTINGUISHABLE and not single:
         agreed = [n for n in sure if all(n in h.fit.ids for h, _ in finding.entries)]

@@ -60,9 +60,11 @@ class EstimationConfig:
     stands_for_muscle: float = 0.5
     """An effect that takes less than this share of what it takes beside the nominal muscle, beside
     another one, may stand for that. No other value was tried."""
-    beyond_braid: float = 0.05
-    """Length beyond the braid's, as a share of it, from which the muscle is another one: a taut
-    braid does not stretch by more. Set on: the same."""
+    beyond_braid: float = 0.1
+    """Length beyond the braid's, as a share of it, from which the muscle is another one. A taut
+    braid stretches by less than half of that, and a camera may read 5 mm too much (the catalogue's
+    distortion), which is 6 % of the thesis's muscle. Measured muscles of other makes are beyond it
+    by 200 %. A camera off by more than 10 % in scale is refused with them."""
 
     # Replicates
     same_edges_s: float = 2e-3
