@@ -326,8 +326,8 @@ def _by_presence(
         if kept and len(kept) < len(ids):
             return _partly(case, finding, kept, odds) or (case, finding)
         if not kept and len(ids) > 1:
-            whole = float(np.prod([odds.get(name, 0.0) for name in ids]))
-            why = reason(Cause.UNRELIABLE, names=case.names, percent=100 * whole)
+            all_there = float(np.prod([odds.get(name, 0.0) for name in ids]))
+            why = reason(Cause.UNRELIABLE, names=case.names, percent=100 * all_there)
             return case, replace(finding, status=Status.INDISTINGUISHABLE, reason=why)
         return case, replace(finding, sure=ids)
     if finding.status is Status.INDISTINGUISHABLE and not single:
