@@ -119,7 +119,7 @@ class SelectionConfig:
 
     # Exchanges of one or two effects for others (`gap.selection.exchange`)
     exchange_cost: float = 1.0
-    """What an effect of an explanation costs, in alarms, and by how much an exchange must be better.
+    """What an effect of an explanation costs, in alarms, and what an exchange must gain beyond it.
     As for a first effect; no other value was tried."""
     exchange_fitted: int = 4
     """Exchanges that are fitted in a round, best linear cost first. No other value was tried."""
