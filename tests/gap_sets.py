@@ -8,6 +8,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from gap.data.reader import read_dataset
+from gap.estimation.fit_problem import FitProblem
+from gap.estimation.shape_fit import fit_shapes
+from gap.selection.candidate_fits import Hypothesis
 from plant.constants import nominal
 from plant.effects.effects import Effects
 from plant.simulator.force_law import ForceLaw
@@ -57,3 +61,16 @@ def settled_set(
     pd.DataFrame(trials).to_csv(folder / "trials.csv", index=False)
     pd.concat(samples).to_csv(folder / "samples.csv", index=False)
     return folder
+
+
+def table_with_two_effects(folder: Path) -> FitProblem:
+    """Settled points of a bench with a stiff liner and a load cell that reads 12 % too much."""
+    hidden = {"liner_threshold": {"threshold_kpa": 30.0}, "force_gain": {"percent": 12.0}}
+    return FitProblem.of(read_dataset(settled_set(folder, hidden, replicates=4)))
+
+
+def fitted(problem: FitProblem, *ids: str) -> Hypothesis:
+    """The explanation by some effects, each in its first shape, its numbers fitted too."""
+    candidates = [next(s for s in problem.candidates if s.id == name) for name in ids]
+    fit = problem.polish(fit_shapes(problem, problem.fit(candidates, [s.step for s in candidates])))
+    return Hypothesis(tuple(s.key for s in candidates), fit)

@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gap.data.reader import read_dataset
 from gap.estimation.fit_problem import FitProblem
 from gap.estimation.information import tolerance
-from gap.estimation.shape_fit import fit_shapes
 from gap.selection.candidate_fits import Hypothesis
 from gap.selection.exchange import proposals, with_exchanges
 from gap.selection.inclusion import excess_chi2
 from gap.selection.search import SearchResult
-from gap_sets import settled_set
+from gap_sets import fitted, table_with_two_effects
 from plant.arrays import Array
 
 ALARM = 30.0
@@ -21,16 +19,7 @@ ALARM = 30.0
 
 @pytest.fixture(scope="module")
 def table(tmp_path_factory: pytest.TempPathFactory) -> FitProblem:
-    """Settled points of a bench with a stiff liner and a load cell that reads 12 % too much."""
-    hidden = {"liner_threshold": {"threshold_kpa": 30.0}, "force_gain": {"percent": 12.0}}
-    folder = tmp_path_factory.mktemp("table") / "set"
-    return FitProblem.of(read_dataset(settled_set(folder, hidden, replicates=4)))
-
-
-def fitted(problem: FitProblem, *ids: str) -> Hypothesis:
-    candidates = [next(s for s in problem.candidates if s.id == name) for name in ids]
-    fit = problem.polish(fit_shapes(problem, problem.fit(candidates, [s.step for s in candidates])))
-    return Hypothesis(tuple(s.key for s in candidates), fit)
+    return table_with_two_effects(tmp_path_factory.mktemp("table") / "set")
 
 
 def outcome(problem: FitProblem, best: Hypothesis) -> SearchResult:

@@ -10,9 +10,8 @@ import pytest
 from gap.data.reader import read_dataset
 from gap.effects.candidates import CANDIDATES
 from gap.estimation.fit_problem import FitProblem
-from gap.estimation.shape_fit import fit_shapes
 from gap.selection.backward import drop_needless, swapped
-from gap.selection.candidate_fits import Hypothesis, fit_further, linear_gains
+from gap.selection.candidate_fits import fit_further, linear_gains
 from gap.selection.config import SELECTION
 from gap.selection.inclusion import (
     StepStatistics,
@@ -25,21 +24,12 @@ from gap.selection.inclusion import (
 from gap.selection.pruning import prune
 from gap.selection.search import SearchResult
 from gap_bench import write_set
-from gap_sets import settled_set
+from gap_sets import fitted, table_with_two_effects
 
 
 @pytest.fixture(scope="module")
 def table(tmp_path_factory: pytest.TempPathFactory) -> FitProblem:
-    """Settled points of a bench with a stiff liner and a load cell that reads 12 % too much."""
-    hidden = {"liner_threshold": {"threshold_kpa": 30.0}, "force_gain": {"percent": 12.0}}
-    folder = tmp_path_factory.mktemp("table") / "set"
-    return FitProblem.of(read_dataset(settled_set(folder, hidden, replicates=4)))
-
-
-def fitted(problem: FitProblem, *ids: str) -> Hypothesis:
-    candidates = [next(s for s in problem.candidates if s.id == name) for name in ids]
-    fit = problem.polish(fit_shapes(problem, problem.fit(candidates, [s.step for s in candidates])))
-    return Hypothesis(tuple(s.key for s in candidates), fit)
+    return table_with_two_effects(tmp_path_factory.mktemp("table") / "set")
 
 
 def test_an_effect_that_stood_for_two_leaves_once_both_are_there(table: FitProblem) -> None:
