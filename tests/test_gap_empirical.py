@@ -25,7 +25,8 @@ from gap.estimation.cross_validation import held_out
 from gap.estimation.fit_problem import FitProblem
 from gap.reason import Cause, Reason
 from gap.reporting.empirical import empirical_figure, empirical_lines
-from gap.validation.empirical import empirical_term
+from gap.validation.config import VALIDATION
+from gap.validation.empirical import empirical_term, search_of
 from gap.validation.improved_plant import improved_plant
 from gap.verdict import EmpiricalTerm, Status, Verdict
 from gap_bench import write_set
@@ -156,9 +157,6 @@ def test_what_happens_in_one_slot_alone_closes_nothing_held_out(tmp_path: Path) 
 
 def test_a_slot_left_out_has_no_part_in_what_predicts_it(tmp_path: Path) -> None:
     """Whatever is written into a slot, the term that predicts it stays the same."""
-    from gap.validation.config import VALIDATION
-    from gap.validation.empirical import search_of
-
     problem = FitProblem.of(read_dataset(planted_set(tmp_path / "data", fold)))
     slot = 4
     here = problem.units[problem.rows.trial] == slot
@@ -323,3 +321,16 @@ def test_a_flow_without_a_name_is_found_as_a_flow(tmp_path: Path) -> None:
     again = FitProblem.of(read_dataset(folder))
     one, two = (held_out(p, p.base)["pressure"].rms("recalibrated") for p in (problem, again))
     assert two < 0.7 * one
+
+
+def test_a_line_is_offered_beside_the_splines_of_an_input_and_they_hold_it(tmp_path: Path) -> None:
+    problem = FitProblem.of(read_dataset(planted_set(tmp_path / "data", fold)))
+    search = search_of(problem, problem.base, "force", VALIDATION)
+    assert search is not None
+    own = [p for p in search.pieces if p.inputs == ("pressure_kpa",) and not p.scale]
+    splines, line = sorted(own, key=lambda piece: -len(piece.at))
+    assert len(line.at) == 2
+    assert splines.holds(line)
+    assert not line.holds(splines)
+    alone = search.within([splines, line], frozenset({"pressure"}))
+    assert splines in alone

@@ -71,7 +71,7 @@ def test_the_cost_of_an_exchange_is_that_of_least_squares(table: FitProblem) -> 
     wrong = fitted(table, "fibre_stretch", "pressure_gain")
     exchange = proposals(table, wrong, ALARM)[0]
     fit = wrong.fit
-    columns = table.exchange_columns(fit)
+    columns = table.all_columns(fit)
     n, k = len(table.names), len(fit.candidates)
     own = [j for j, c in enumerate(fit.candidates) if c.key in exchange.out]
     place = {id(c): n + k + j for j, c in enumerate(table.candidates)}

@@ -11,6 +11,9 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+from blind.exchange import write
+from blind.recording import record
+from blind.sets import blind_set
 from cli.main import app
 from gap.data.dataset import DataSet
 from gap.data.from_runs import open_data
@@ -18,7 +21,7 @@ from gap.data.reader import read_dataset
 from gap.decision.diagnose import diagnose, diagnose_with_fit
 from gap.estimation.cross_validation import held_out
 from gap.estimation.fit_problem import FitProblem
-from gap.estimation.fitness import doubts, doubts_left
+from gap.estimation.fitness import beyond_braid, doubts, doubts_left
 from gap.model.bins import matched
 from gap.reporting.text import headline
 from gap.selection.inclusion import excess_chi2
@@ -159,6 +162,24 @@ def test_a_large_effect_is_no_other_muscle(tmp_path: Path) -> None:
     verdict = diagnose(data)
     assert verdict.status is Status.NAMED
     assert verdict.sure == ("liner_threshold",)
+
+
+@pytest.mark.parametrize(("longest_mm", "refused"), [(93.0, False), (99.0, True)])
+def test_a_camera_may_read_5_mm_beyond_the_braid(
+    longest_mm: float, refused: bool, folder: Path
+) -> None:
+    scaled(folder, longest_mm / 69.0)
+    assert bool(beyond_braid(FitProblem.of(read_dataset(folder)))) is refused
+
+
+@pytest.mark.slow
+def test_a_trace_of_a_second_effect_does_not_make_another_muscle_of_a_large_one(
+    tmp_path: Path,
+) -> None:
+    """A delay of a second puts the plant in doubt; `critical_ratio` took 1e-6 of what it leaves."""
+    write(record(blind_set("practice", 10056)), tmp_path / "delay")
+    verdict = diagnose(read_dataset(tmp_path / "delay"))
+    assert "transport_delay" in verdict.sure
 
 
 def test_gains_in_the_place_of_another_muscle_leave_it_refused(folder: Path) -> None:

@@ -37,14 +37,34 @@ def test_totals_count_right_and_wrong_names() -> None:
         },
     ]  # fmt: skip
     found = totals(scores)
-    assert found["named"] == {
-        "right": 1, "of": 4, "wrong": 1, "share": pytest.approx(1 / 4), "wrong_share": 0.5,
-    }  # fmt: skip
+    named = found["named"]
+    assert (named["right"], named["of"], named["wrong"]) == (1, 4, 1)
+    assert (named["share"], named["wrong_share"]) == (pytest.approx(1 / 4), 0.5)
+    assert named["interval"] == pytest.approx((0.0456, 0.6994), abs=1e-3)  # Wilson, 1 of 4
     assert found["offered"]["right"] == 2
     assert found["closed_median"] == 0.9
     assert (found["sets"], found["unfit"], found["unknown"]) == (3, 1, 1)
     assert found["calibration"]["effects"] == 3
     assert found["calibration"]["stated_there_count"] == [(0.3, 1.0, 1), (0.9, 0.5, 2)]
+
+
+def test_effects_too_small_to_be_seen_and_those_with_a_confounder_are_counted_apart() -> None:
+    members = {
+        "a": {"size": 4.0, "mimic": 0.2}, "b": {"size": 0.5, "mimic": 0.2},
+        "c": {"size": 2.0, "mimic": 0.95},
+    }  # fmt: skip
+    line = {
+        "hidden": ["a", "b", "c"], "named": ["a"], "offered": ["a"], "closed": 0.9,
+        "status": "named", "presence": None, "members": members,
+    }  # fmt: skip
+    found = totals([line])
+    counted = {key: (found[key]["hits"], found[key]["of"]) for key in ("of_one_floor",
+               "without_confounder")}  # fmt: skip
+    assert counted == {"of_one_floor": (1, 2), "without_confounder": (1, 1)}
+    by_size = {key: (one["hits"], one["of"]) for key, one in found["by_size"].items()}
+    assert by_size == {
+        "0 to 1.5 floors": (0, 1), "1.5 to 3 floors": (0, 1), "3 to inf floors": (1, 1),
+    }  # fmt: skip
 
 
 def test_a_set_whose_stated_plant_is_refused_names_nothing() -> None:

@@ -17,6 +17,8 @@ import json
 import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -27,13 +29,15 @@ from blind.exchange import write
 from blind.recording import record
 from blind.sets import SEVERAL, blind_set
 from gap.check.scoring.score import MIMICKED
-from gap.check.scoring.statistics import bins_of, debiased_error
+from gap.check.scoring.statistics import Share, bins_of, debiased_error, share
 from gap.data.reader import read_dataset
 from gap.decision.diagnose import verdict_by_catalogue
 from gap.verdict import Status, Verdict, plain
 
 LEAST_SIZE = 1.0
 """Floors, from which an effect counts among those that can be seen."""
+SIZES = (1.5, 3.0)
+"""Floors between which effects are counted by themselves."""
 UNFIT = (Status.NOMINAL_UNFIT, Status.DATA_UNFIT)
 """Verdicts that refuse to diagnose: the stated plant, or the data, are not usable."""
 
@@ -96,28 +100,38 @@ def totals(scores: Sequence[dict[str, Any]]) -> dict[str, Any]:
         made[key] = {
             "right": right, "of": hidden, "wrong": wrong,
             "share": right / max(hidden, 1), "wrong_share": wrong / max(right + wrong, 1),
+            "interval": Share(right, hidden).interval,
         }  # fmt: skip
     made["of_one_floor"] = _named_where(scores, lambda one: one["size"] >= LEAST_SIZE)
     made["without_confounder"] = _named_where(
         scores, lambda one: one["size"] >= LEAST_SIZE and one["mimic"] <= MIMICKED
     )
+    made["by_size"] = {}
+    for low, high in pairwise((0.0, *SIZES, np.inf)):
+        within = partial(_is_within, low, high)
+        made["by_size"][f"{low:g} to {high:g} floors"] = _named_where(scores, within)
     made["calibration"] = _calibration(scores)
     closed = [s["closed"] for s in scores if s["closed"] is not None]
     made["closed_median"] = float(np.median(closed)) if closed else None
     return made
 
 
+def _is_within(low: float, high: float, one: Mapping[str, float]) -> bool:
+    return low <= one["size"] < high
+
+
 def _named_where(
     scores: Sequence[dict[str, Any]], counts: Callable[[Mapping[str, float]], bool]
 ) -> dict[str, Any]:
     """Share of the hidden effects that count that is named, where their sizes are known."""
-    named = [
-        name in line["named"]
-        for line in scores
-        for name, one in line.get("members", {}).items()
-        if name in line["hidden"] and counts(one)
-    ]
-    return {"right": sum(named), "of": len(named), "share": sum(named) / max(len(named), 1)}
+    return share(
+        [
+            name in line["named"]
+            for line in scores
+            for name, one in line.get("members", {}).items()
+            if name in line["hidden"] and counts(one)
+        ]
+    ).as_json()
 
 
 def _calibration(scores: Sequence[dict[str, Any]]) -> dict[str, Any]:

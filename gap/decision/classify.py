@@ -23,7 +23,6 @@ from gap.estimation.intervals import detection_limits, growth_estimates, headlin
 from gap.reason import Cause, Reason, reason
 from gap.selection.candidate_fits import Hypothesis
 from gap.selection.config import SELECTION
-from gap.selection.exchange import with_exchanges
 from gap.selection.further import with_further
 from gap.selection.per_stroke import with_per_stroke_delays
 from gap.selection.pruning import prune
@@ -139,7 +138,7 @@ def classify(
     elif outcome.uncertain_defect:
         finding = _unknown(case, case.search.best.fit, 1.0, Reason(Cause.UNCERTAIN_DEFECT))
     elif case.search.best.keys:
-        further = _further(problem, case.search)
+        further = with_further(problem, case.search)
         evidence = evidence_of(problem, further, case.reliability["unknown"])
         odds = {one.id: shipped_presence().of(one) for one in evidence}
         case, finding = _by_presence(case, _explained(case), further, odds)
@@ -148,15 +147,6 @@ def classify(
     else:
         finding = _unexplained(case)
     return _verdict(case, finding), case.search
-
-
-def _further(problem: FitProblem, search: SearchResult) -> SearchResult:
-    """The search with further effects, and with exchanges where that makes it better."""
-    made = with_further(problem, search)
-    if len(made.best.keys) < 2:
-        return made
-    exchanged = with_exchanges(problem, made)
-    return made if exchanged is made else with_further(problem, exchanged)
 
 
 def _unknown(case: _Case, fit: FitResult, unknown: float, why: Reason) -> _Finding:
@@ -307,7 +297,7 @@ def _by_presence(
     wider = replace(case, search=further)
     refused = finding.status is Status.UNKNOWN
     single = len(case.search.best.fit.ids) == 1
-    least = config.present if refused or single else config.needless
+    least = config.present if refused or single else config.present_in_several
     sure = tuple(name for name in further.best.fit.ids if odds[name] >= least)
     if refused:
         # The refusal of one effect was learnt on single effects. It says nothing of an explanation
@@ -316,7 +306,7 @@ def _by_presence(
         return (None if single else _partly(wider, finding, sure, odds)) or (case, finding)
     if finding.status in NAMED:
         ids = finding.entries[0][0].fit.ids
-        kept = tuple(name for name in ids if odds.get(name, 0.0) >= config.needless)
+        kept = tuple(name for name in ids if odds.get(name, 0.0) >= config.present_in_several)
         more = tuple(name for name in sure if name not in ids)
         with_more = _partly(wider, finding, (*kept, *more), odds) if more else None
         if with_more is not None:

@@ -50,7 +50,7 @@ class DecisionConfig:
     """Least probability of an effect that is named although the explanation as a whole is not
     reliable, or beside a single effect of a reliable one. A matter of definition: one in ten of
     those at the threshold is wrong."""
-    needless: float = 0.8
+    present_in_several: float = 0.8
     """Least probability of an effect that is named as one of several of an explanation that is not
     refused, or beside them. More effects found at once, at no more than 3 % wrong names. Set on:
     sets 500 to 521, 600 to 627 and 100 to 138 of the stream `several`, where 41 of 44 such effects

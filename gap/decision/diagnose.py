@@ -87,7 +87,7 @@ def verdict_by_catalogue(
     found = search_effects(problem)
     stage("confounders, stages and the next experiment")
     # Of a plant in doubt only effects that are sure by themselves are named.
-    config = replace(DECISION, needless=DECISION.present) if doubtful else DECISION
+    config = replace(DECISION, present_in_several=DECISION.present) if doubtful else DECISION
     verdict, search = classify(problem, found, config)
     if doubtful:
         # Several large effects do this as well as another muscle.

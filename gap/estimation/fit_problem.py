@@ -394,8 +394,8 @@ class FitProblem:
 
     def columns_of(self, fit: FitResult) -> Array:
         """Signatures of constants and amounts at a fit, shape (rows, constants + candidates)."""
-        at = (fit.shift, fit.candidates, fit.amounts)
-        return np.hstack([self.columns_at(*at), self.slopes(*at)])
+        slopes = self.slopes(fit.shift, fit.candidates, fit.amounts)
+        return np.hstack([self.columns_near(fit), slopes])
 
     def columns_at(self, shift: Array, candidates: Sequence[Candidate], amounts: Array) -> Array:
         """Signatures of the constants, shape (rows, constants), with candidates in force."""
@@ -564,10 +564,9 @@ class FitProblem:
             self.rows.span_s, self.units, fit.shift,
         )  # fmt: skip
 
-    def exchange_columns(self, fit: FitResult) -> Array:
-        """Sensitivities at a fit: [constants | effects in force | all candidates]."""
-        slopes = self.slopes(fit.shift, fit.candidates, fit.amounts)
-        return np.hstack([self.columns_near(fit), slopes, self._candidate_columns(fit)])
+    def all_columns(self, fit: FitResult) -> Array:
+        """Signatures at a fit: [constants | effects in force | all candidates]."""
+        return np.hstack([self.columns_of(fit), self._candidate_columns(fit)])
 
     def schemes(self) -> dict[str, Whole]:
         """What can be held out whole: slots, and protocols and mountings with three or more."""

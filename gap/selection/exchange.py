@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.effects.candidates import Candidate
-from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.estimation.fit_problem import FitProblem
 from gap.estimation.shape_fit import fit_shapes
 from gap.selection.candidate_fits import Hypothesis
 from gap.selection.config import SELECTION, SelectionConfig
@@ -51,8 +51,14 @@ class Exchange:
 def with_exchanges(
     problem: FitProblem, search: SearchResult, config: SelectionConfig = SELECTION
 ) -> SearchResult:
-    """A search whose best explanation no exchange of effects makes better."""
+    """A search whose best explanation no exchange of effects makes better.
+
+    Returns:
+        The same search where it has one effect or none, or where nothing is better.
+    """
     best = search.best
+    if len(best.keys) < 2:
+        return search
     each = config.exchange_cost * search.alarm
     seen = {frozenset(best.keys)}
     for _ in range(config.exchange_rounds):
@@ -103,6 +109,8 @@ def proposals(
 
 _KEPT = 40
 """Pairs of candidates that are kept for each set of effects that leaves."""
+_RIDGE = 1e-10
+"""Added to the scaled diagonal: columns of constants that the data do not move are all zero."""
 _ALIKE = 1e-3
 """Share of a candidate's square beyond another, below which the two cannot be told apart."""
 
@@ -182,7 +190,8 @@ def _openings(problem: FitProblem, best: Hypothesis) -> Iterator[_Opening]:
     fit, n = best.fit, len(problem.names)
     here = n + np.arange(len(fit.candidates))
     beyond = n + len(here)
-    gram, right = _products(problem, fit)
+    # Inner products of [constants | effects in force | candidates], and those with the residual.
+    gram, right = problem.normal(problem.all_columns(fit), fit.residual, fit.shift)
     for out in (*combinations(best.keys, 1), *combinations(best.keys, 2)):
         leaves = np.array([candidate.key in out for candidate in fit.candidates])
         own, amounts = here[leaves], fit.amounts[leaves]
@@ -198,7 +207,7 @@ def _openings(problem: FitProblem, best: Hypothesis) -> Iterator[_Opening]:
         y = right + gram[:, own] @ amounts
         added = float(2.0 * amounts @ right[own] + amounts @ gram[np.ix_(own, own)] @ amounts)
         unit = np.sqrt(np.maximum(np.diag(gram)[stay], 1e-300))
-        inner = gram[np.ix_(stay, stay)] / unit / unit[:, None] + 1e-10 * np.eye(len(stay))
+        inner = gram[np.ix_(stay, stay)] / unit / unit[:, None] + _RIDGE * np.eye(len(stay))
         across = gram[np.ix_(stay, enter)] / unit[:, None]
         given = np.linalg.solve(inner, np.column_stack([across, y[stay] / unit]))
         yield _Opening(
@@ -209,14 +218,6 @@ def _openings(problem: FitProblem, best: Hypothesis) -> Iterator[_Opening]:
             y[enter] - across.T @ given[:, -1],
             fit.cost + added - float(y[stay] / unit @ given[:, -1]),
         )
-
-
-def _products(problem: FitProblem, fit: FitResult) -> tuple[Array, Array]:
-    """Inner products of [constants | effects in force | candidates], and those with the residual.
-
-    The prior of the constants is in both.
-    """
-    return problem.normal(problem.exchange_columns(fit), fit.residual, fit.shift)
 
 
 def _fitted(

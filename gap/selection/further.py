@@ -20,6 +20,7 @@ from gap.selection.candidate_fits import (
     linear_gains,
 )
 from gap.selection.config import SELECTION, SelectionConfig
+from gap.selection.exchange import with_exchanges
 from gap.selection.inclusion import StepStatistics, excess_chi2, step_statistics
 from gap.selection.search import SearchResult
 
@@ -27,12 +28,19 @@ from gap.selection.search import SearchResult
 def with_further(
     problem: FitProblem, search: SearchResult, config: SelectionConfig = SELECTION
 ) -> SearchResult:
-    """A search with further effects in its best explanation.
+    """A search with further effects in its best explanation, and with exchanges after them.
 
     Returns:
         The same search where none enters. Defects of the recording never do, nor do effects of a
         family that is there.
     """
+    made = _entered(problem, search, config)
+    exchanged = with_exchanges(problem, made, config)
+    return made if exchanged is made else _entered(problem, exchanged, config)
+
+
+def _entered(problem: FitProblem, search: SearchResult, config: SelectionConfig) -> SearchResult:
+    """A search with further effects, one after the other."""
     made = search
     while len(made.best.keys) < config.most_effects:
         linear = linear_gains(problem, made.best.fit)

@@ -62,9 +62,8 @@ def prune(
 
 
 def _exchanged(problem: FitProblem, search: SearchResult, config: SelectionConfig) -> SearchResult:
-    """The outcome without defects; that no exchange makes better, where it has several effects."""
-    clean = _without_defects(search)
-    return with_exchanges(problem, clean, config) if len(clean.best.keys) > 1 else clean
+    """The outcome without defects, with the exchanges that make it better."""
+    return with_exchanges(problem, _without_defects(search), config)
 
 
 def _without_defects(search: SearchResult) -> SearchResult:

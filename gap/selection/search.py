@@ -58,7 +58,8 @@ class SearchResult:
         left: the same of the best explanation.
         alarm: gain that a first effect needs on these data.
         chance: share of simulated data sets without a gap whose best gain is as large.
-        steps: key and gain of each effect in the order of entry.
+        steps: key and gain of each effect in the order of entry; one that came by an exchange has
+            an equal part of all that is explained.
         tests: inclusion tests beyond the first step, with their outcomes.
         last_gain: gain of each key beside the best explanation, linearised.
         per_stroke: the best explanation with a delay of its own for each stroke, if it has delays.
