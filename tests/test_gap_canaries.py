@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from gap.data.dataset import DataSet
 from gap.data.reader import read_dataset
@@ -75,6 +76,26 @@ def test_the_same_trials_twice_do_not_raise_an_alarm(nominal: DataSet) -> None:
     )
     twice = dataclasses.replace(nominal, trials=(*nominal.trials, *copies))
     assert diagnose(twice).status == "no_gap_above_floor"
+
+
+def test_a_slow_gauge_behind_a_tube_is_not_taken_for_a_wrong_clock(nominal: DataSet) -> None:
+    """Sound takes 7 ms through 2.4 m of tube; the gauge itself takes 6 ms."""
+
+    def late(trial: Trial, channel: Channel) -> Channel:
+        arrives = np.interp(channel.time_s - 0.007, channel.time_s, channel.value)
+        step = float(np.median(np.diff(channel.time_s)))
+        share = 1.0 - np.exp(-step / 0.006)
+        seen = lfilter([share], [1.0, share - 1.0], arrives, zi=[(1.0 - share) * arrives[0]])[0]
+        return dataclasses.replace(channel, value=seen)
+
+    verdict = diagnose(changed(nominal, "pressure_kpa", late))
+    assert verdict.status != "data_unfit"
+    (explanation,) = verdict.effects
+    assert explanation.ids == ("pressure_lag",)
+    time = explanation.parameters["time_ms"]
+    assert time.low is not None
+    assert time.high is not None
+    assert time.low < 13.0 < time.high
 
 
 @pytest.mark.parametrize(("name", "late_s"), [("force_n", 0.06), ("pressure_kpa", 0.06)])

@@ -9,7 +9,7 @@ import pytest
 from gap.decision.sequential import SequentialVerdict, joint
 from gap.reporting.text import conclusion_text
 from gap.validation.prediction import Prediction, families
-from gap.verdict import Explanation, Gap, Status, Verdict
+from gap.verdict import Experiment, Explanation, Gap, Status, Verdict
 from plant.effects.catalogue import CATALOGUE
 
 
@@ -111,6 +111,21 @@ def test_entries_of_one_family_that_fit_alike_need_a_reference_as_well() -> None
     standing = SequentialVerdict(verdict=alike)
     assert (standing.conclusion, standing.settled) == ("needs reference", False)
     assert set(standing.references) == {"camera_scale", "length_label"}
+
+
+@pytest.mark.parametrize(("protocol", "needed"), [("reference", True), ("isotonic", False)])
+def test_an_entry_that_only_a_reference_tells_from_another_needs_that_reference(
+    protocol: str, needed: bool
+) -> None:
+    """A camera whose scale is off by 3 sd, on held lengths close together, may be distorted."""
+    alone = verdict_with("indistinguishable", ("camera_distortion",))
+    advised = Experiment(
+        protocol, {}, 4.6, 10.0, 1, ("camera_distortion", "end_cap+camera_scale"), ""
+    )
+    standing = SequentialVerdict(verdict=dataclasses.replace(alone, next_experiment=advised))
+    assert standing.conclusion == ("needs reference" if needed else "open")
+    names = {"camera_distortion", "end_cap", "camera_scale"} if needed else {"camera_distortion"}
+    assert set(standing.references) == names
 
 
 @pytest.mark.parametrize("status", ["named", "named_form_inadequate"])

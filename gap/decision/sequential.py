@@ -146,11 +146,25 @@ class SequentialVerdict:
         status = self.verdict.status
         if status in NAMED or self.confirmed is not None:
             return Conclusion.NAMED
-        if status in (Status.INDISTINGUISHABLE, Status.MIMICABLE) and len(self.verdict.effects) > 1:
+        if status in (Status.INDISTINGUISHABLE, Status.MIMICABLE) and self._between:
             return Conclusion.NEEDS_REFERENCE
         if status == Status.NO_GAP_ABOVE_FLOOR:
             return Conclusion.NEEDS_REFERENCE if self.relieving else Conclusion.NO_GAP
         return Conclusion.OPEN
+
+    @property
+    def _between(self) -> tuple[str, ...]:
+        """Entries that no test of the bench can tell apart.
+
+        Those left, or the only one and the one that, by the diagnosis, a reference tells from it.
+        """
+        assert self.verdict is not None
+        if len(self.verdict.effects) > 1:
+            return tuple(dict.fromkeys(n for effect in self.verdict.effects for n in effect.ids))
+        advised = self.verdict.next_experiment
+        if advised is None or advised.protocol != "reference":
+            return ()
+        return tuple(dict.fromkeys(n for one in advised.between for n in one.split("+")))
 
     @property
     def references(self) -> dict[str, str]:
@@ -161,6 +175,8 @@ class SequentialVerdict:
         proven = self.confirmed is not None
         left = self.of_family if proven else self.verdict.effects
         names = dict.fromkeys(name for effect in left for name in effect.ids)
+        if not proven:
+            names |= dict.fromkeys(self._between)
         if proven and len(names) == 1:
             return {}
         if not proven and self.verdict.status not in (Status.INDISTINGUISHABLE, Status.MIMICABLE):

@@ -161,6 +161,9 @@ class SelectionConfig:
     """Share of the gap by which effects may fit worse than a defect and still be named."""
     least_clock_ms: float = 5.0
     """Delay below which a late channel may be a slow sensor instead of a wrong clock."""
+    slow_sensor_ms: float = 30.0
+    """The same for a pressure that a lag explains nearly as well: sensors and a metre or two of
+    thin tube take up to some ten milliseconds. No other value was tried."""
 
     # Per-stroke delays
     stroke_sd: float = 0.1

@@ -51,11 +51,14 @@ def prune(
     if not any(candidate.defect for candidate in candidates):
         return PruningResult(_needed(problem, _exchanged(problem, search, config), config))
     first = candidates[0].defect
-    if first and _is_defect(problem, search, config):
+    sure = first and _is_defect(problem, search, config)
+    if sure and not _may_be_slow_sensor(search, config):
         return PruningResult(search, defect=True)
     clean = search_effects(problem.restricted_to(lambda candidate: not candidate.defect), config)
     worse = clean.best.cost - search.best.cost
     uncertain = first and worse > config.sure_gain + config.defect_worse_share * search.gap
+    if sure and (uncertain or clean.best.fit.ids[:1] != ("pressure_lag",)):
+        return PruningResult(search, defect=True)
     return PruningResult(
         _needed(problem, _exchanged(problem, clean, config), config), uncertain_defect=uncertain
     )
@@ -81,6 +84,17 @@ def _is_defect(problem: FitProblem, search: SearchResult, config: SelectionConfi
     if fit.candidates[0].id.endswith("clock") and 0.0 < amount < config.least_clock_ms:
         return False
     return _spread_over_trials(problem, fit) < config.defect_spread * abs(amount)
+
+
+def _may_be_slow_sensor(search: SearchResult, config: SelectionConfig) -> bool:
+    """Whether the first effect is a pressure so little late that its sensor may be slow instead.
+
+    The lag of a sensor behind a tube can be of any order; the higher it is, the more it looks like
+    a delay.
+    """
+    fit = search.best.fit
+    late_ms = float(fit.amounts[0])
+    return fit.candidates[0].id == "pressure_clock" and 0.0 < late_ms < config.slow_sensor_ms
 
 
 def _spread_over_trials(problem: FitProblem, fit: FitResult) -> float:
