@@ -78,6 +78,16 @@ def test_without_a_sure_effect_the_verdict_stays_unknown(two: _Case) -> None:
     assert case is two
 
 
+def test_where_the_whole_is_refused_an_effect_that_is_only_likely_is_offered_not_named(
+    two: _Case,
+) -> None:
+    odds = {"bladder_elasticity": 0.93, "leak": 0.3}
+    part, found = _by_presence(two, refused(two), two.search, odds)
+    assert (found.status, found.sure) == (Status.INDISTINGUISHABLE, ())
+    assert part.search.best.fit.ids == ("bladder_elasticity",)
+    assert "bladder_elasticity fits best, but" in str(found.reason)
+
+
 def test_an_effect_that_is_rather_not_there_is_not_named_with_the_rest(two: _Case) -> None:
     whole = replace(refused(two), status=Status.NAMED)
     odds = {"bladder_elasticity": 0.8, "leak": 0.3}

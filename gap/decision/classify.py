@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -303,7 +303,7 @@ def _by_presence(
         # The refusal of one effect was learnt on single effects. It says nothing of an explanation
         # of several that leaves a small part of what the one left.
         single = single and further.left > config.beyond_single * case.search.left
-        return (None if single else _partly(wider, finding, sure, odds)) or (case, finding)
+        return (None if single else _partly_refused(wider, finding, sure, odds)) or (case, finding)
     if finding.status in NAMED:
         ids = finding.entries[0][0].fit.ids
         kept = tuple(name for name in ids if odds.get(name, 0.0) >= config.present_in_several)
@@ -321,12 +321,31 @@ def _by_presence(
             return case, replace(finding, status=Status.INDISTINGUISHABLE, reason=why)
         return case, replace(finding, sure=ids)
     if finding.status is Status.INDISTINGUISHABLE and not single:
-        agreed = [n for n in sure if all(n in h.fit.ids for h, _ in finding.entries)]
+        least = config.present_in_refused
+        agreed = [n for n in sure if odds[n] >= least and _in_all(n, finding.entries)]
         if agreed:
             names = " and ".join(agreed)
             why = reason(Cause.SURE_BESIDE, sure=names, rest=str(finding.reason))
             return case, replace(finding, sure=tuple(agreed), reason=why)
     return case, finding
+
+
+def _in_all(name: str, entries: Sequence[tuple[Hypothesis, float]]) -> bool:
+    return all(name in hypothesis.fit.ids for hypothesis, _ in entries)
+
+
+def _partly_refused(
+    case: _Case, finding: _Finding, likely: tuple[str, ...], odds: Mapping[str, float]
+) -> tuple[_Case, _Finding] | None:
+    """What of a refused explanation is named, or offered where it is only likely to be there."""
+    sure = tuple(name for name in likely if odds[name] >= case.config.present_in_refused)
+    found = _partly(case, finding, sure or likely, odds)
+    if found is None or sure:
+        return found
+    part, offered = found
+    right = case.reliability["right"] + case.reliability["part"]
+    why = reason(Cause.UNRELIABLE, names=" and ".join(likely), percent=100 * right)
+    return part, replace(offered, status=Status.INDISTINGUISHABLE, reason=why, sure=())
 
 
 def _as_whole(case: _Case, finding: _Finding) -> _Finding:
