@@ -152,7 +152,11 @@ def seeds_of(text: str) -> list[int]:
     found: list[int] = []
     for part in text.split(","):
         first, _, last = part.partition("-")
-        found += range(int(first), int(last or first) + 1)
+        try:
+            found += range(int(first), int(last or first) + 1)
+        except ValueError:
+            says = f"expected numbers such as 0-39 or 3,5,8, got {text!r}"
+            raise argparse.ArgumentTypeError(says) from None
     return found
 
 
@@ -254,7 +258,7 @@ def word_for(row: Row) -> str:
 def main() -> int:
     """Run the seeds that the journal does not hold yet, then write the page."""
     parser = argparse.ArgumentParser(prog="python -m tests.withheld_campaign", description=__doc__)
-    parser.add_argument("--seeds", default="0-39")
+    parser.add_argument("--seeds", default="0-39", help="numbers such as 0-39 or 3,5,8")
     parser.add_argument("--rig", default=RIG)
     parser.add_argument("--held-out", action="store_true", help="hide forms that are held out")
     parser.add_argument("--budget", type=float, default=60.0, help="bench minutes a seed")
@@ -262,12 +266,16 @@ def main() -> int:
     parser.add_argument("--keep", type=Path, help="keep runs and data here")
     parser.add_argument("--page", type=Path)
     args = parser.parse_args()
+    try:
+        seeds = seeds_of(args.seeds)
+    except argparse.ArgumentTypeError as error:
+        parser.error(f"--seeds: {error}")
     # The same seed hides another form: the two kinds must not share a journal.
     usual = "out/withheld-held-out.jsonl" if args.held_out else "out/withheld.jsonl"
     journal = args.journal or Path(usual)
     journal.parent.mkdir(parents=True, exist_ok=True)
     rows = read_journal(journal)
-    for seed in seeds_of(args.seeds):
+    for seed in seeds:
         if seed in rows:
             continue
         folder = args.keep / str(seed) if args.keep else Path(tempfile.mkdtemp())
@@ -280,7 +288,7 @@ def main() -> int:
         with journal.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row, allow_nan=False) + "\n")
         print(line(row), flush=True)
-    wanted = [rows[seed] for seed in seeds_of(args.seeds) if seed in rows]
+    wanted = [rows[seed] for seed in seeds if seed in rows]
     for name, value in totals(wanted).items():
         low, high = value.interval
         print(f"{name}: {value.hits}/{value.of} ({100 * low:.0f} to {100 * high:.0f} %)")
