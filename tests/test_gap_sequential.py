@@ -126,6 +126,8 @@ def test_an_entry_that_only_a_reference_tells_from_another_needs_that_reference(
     assert standing.conclusion == ("needs reference" if needed else "open")
     names = {"camera_distortion", "end_cap", "camera_scale"} if needed else {"camera_distortion"}
     assert set(standing.references) == names
+    said = "It takes a reference to tell it from end_cap or camera_scale."
+    assert (said in conclusion_text(standing)) == needed
 
 
 @pytest.mark.parametrize("status", ["named", "named_form_inadequate"])

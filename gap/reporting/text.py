@@ -215,7 +215,13 @@ def conclusion_text(found: SequentialVerdict) -> str:
             f"{' or '.join(found.relieving)} in its place would fit as well"
         )
     if found.confirmed is None:
-        return headline(found.verdict)
+        effects = found.verdict.effects
+        own = effects[0].ids if len(effects) == 1 else tuple(found.references)
+        others = [name for name in found.references if name not in own]
+        if not others:
+            return headline(found.verdict)
+        apart = f"It takes a reference to tell it from {' or '.join(others)}."
+        return f"{headline(found.verdict)} {apart}"
     protocol, prediction = found.confirmed
     ids = [" + ".join(effect.ids) for effect in found.of_family]
     return sentence(
