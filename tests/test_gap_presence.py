@@ -96,6 +96,19 @@ def test_an_effect_that_is_rather_not_there_is_not_named_with_the_rest(two: _Cas
     assert _by_presence(two, whole, two.search, odds)[1].sure == two.search.best.fit.ids
 
 
+@pytest.mark.parametrize(("unknown", "named"), [(0.2, True), (0.38, False)])
+def test_the_likelier_something_outside_the_catalogue_the_surer_an_effect_must_be(
+    two: _Case, unknown: float, named: bool
+) -> None:
+    """A scale and a label, 0.88 and 0.85, stood for a distortion that the catalogue lacked."""
+    whole = replace(refused(two), status=Status.NAMED)
+    doubted = replace(two)
+    doubted.__dict__["reliability"] = {**two.reliability, "unknown": unknown}
+    found = _by_presence(doubted, whole, two.search, dict(zip(TWO, (0.88, 0.85), strict=True)))[1]
+    assert found.sure == (two.search.best.fit.ids if named else ())
+    assert found.status is (Status.NAMED if named else Status.INDISTINGUISHABLE)
+
+
 def test_effects_on_which_all_entries_agree_are_sure(two: _Case) -> None:
     best = two.search.best
     other = replace(best, fit=replace(best.fit, candidates=best.fit.candidates[:1]))

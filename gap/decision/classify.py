@@ -297,7 +297,9 @@ def _by_presence(
     wider = replace(case, search=further)
     refused = finding.status is Status.UNKNOWN
     single = len(case.search.best.fit.ids) == 1
-    least = config.present if refused or single else config.present_in_several
+    doubtful = not single and case.reliability["unknown"] > config.doubtful_unknown
+    of_several = config.present_in_refused if doubtful else config.present_in_several
+    least = config.present if refused or single else of_several
     sure = tuple(name for name in further.best.fit.ids if odds[name] >= least)
     if refused:
         # The refusal of one effect was learnt on single effects. It says nothing of an explanation
@@ -306,7 +308,7 @@ def _by_presence(
         return (None if single else _partly_refused(wider, finding, sure, odds)) or (case, finding)
     if finding.status in NAMED:
         ids = finding.entries[0][0].fit.ids
-        kept = tuple(name for name in ids if odds.get(name, 0.0) >= config.present_in_several)
+        kept = tuple(name for name in ids if odds.get(name, 0.0) >= of_several)
         more = tuple(name for name in sure if name not in ids)
         with_more = _partly(wider, finding, (*kept, *more), odds) if more else None
         if with_more is not None:
