@@ -144,3 +144,12 @@ def test_a_name_not_certain_to_close_half_of_the_gap_waits_for_the_tests_left(
     assert standing.conclusion == "named"
     assert standing.settled
     assert standing.uncertain == uncertain
+
+
+def test_a_name_of_several_effects_waits_for_the_tests_left() -> None:
+    """An inlet and a critical ratio stood for a load that no test had shown yet."""
+    gap = Gap("kPa", 2.0, 1.5, 0.1, 0.09, "replicates", 0.97, 0.95, 1.0, "slot")
+    for effects, waits in ((("flow_area+critical_ratio",), True), (("flow_area",), False)):
+        named = dataclasses.replace(verdict_with("named", effects), gap=gap)
+        standing = SequentialVerdict(verdict=named)
+        assert (standing.settled, standing.uncertain) == (True, waits)

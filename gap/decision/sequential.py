@@ -127,15 +127,18 @@ class SequentialVerdict:
 
     @property
     def uncertain(self) -> bool:
-        """Whether a name stands that is not certain to close half of the gap.
+        """Whether a name stands that is not certain to close half of the gap, or is of several.
 
         Tests that were not made yet may then show another effect, or none. So it is where nobody
-        can say how much of the gap is closed.
+        can say how much of the gap is closed, and where a few tests of one kind needed two effects:
+        these may stand for one that they do not show.
         """
         if self.verdict is None or self.confirmed is not None:
             return False
         if self.verdict.status not in NAMED:
             return False
+        if len(self.verdict.effects[0].ids) > 1:
+            return True
         low = None if self.verdict.gap is None else self.verdict.gap.closed_low
         return low is None or low <= DECISION.closed_share
 
