@@ -16,6 +16,8 @@ from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
 from plant.effects.arguments import Context, Points
 
 _INVERTED = 5
+_INVERTED_M = 1e-12
+"""Most steps of an inversion, and the step from which on it is exact."""
 _LEAST_SLOPE = 0.25
 _FARTHEST_M = 0.02
 """No camera that is called one shows a length this far from the true one."""
@@ -37,7 +39,12 @@ def true_length(points: Points, active: Active, c: PlantConstants) -> Array:
         if term.diagnosis.length is not None and term.diagnosis is not MOUNTING:
             length = length + term.diagnosis.length(points, term.amount, term.shape)
     maps = [term for term in acting if term.diagnosis.camera is not None]
-    return np.where(points.held, length, _behind(length, maps, c)) if maps else length
+    seen = ~points.held
+    if not maps or not seen.any():
+        return length
+    length = length.copy()
+    length[seen] = _behind(length[seen], maps, c)
+    return length
 
 
 def _behind(read: Array, maps: list[Term], c: PlantConstants) -> Array:
@@ -49,8 +56,11 @@ def _behind(read: Array, maps: list[Term], c: PlantConstants) -> Array:
     for _ in range(_INVERTED if any(term.diagnosis.camera_bends for term in maps) else 1):
         at = _error(maps, true, c)
         slope = 1.0 + (_error(maps, true + 1e-6, c) - at) / 1e-6
+        before = true
         true = true - (true + at - read) / np.maximum(slope, _LEAST_SLOPE)
         true = np.clip(true, read - _FARTHEST_M, read + _FARTHEST_M)
+        if np.abs(true - before).max() < _INVERTED_M:
+            break
     return np.asarray(true)
 
 

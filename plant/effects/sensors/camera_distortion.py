@@ -19,6 +19,8 @@ def bend(share: Array, power: float) -> Array:
 
     Radial distortion of the third order (Brown 1966) for a power of three.
     """
+    if power == _POWER:
+        return share * share * share  # a general power takes ten times as long
     return np.sign(share) * np.abs(share) ** power
 
 
