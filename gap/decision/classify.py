@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -323,17 +323,12 @@ def _by_presence(
             return case, replace(finding, status=Status.INDISTINGUISHABLE, reason=why)
         return case, replace(finding, sure=ids)
     if finding.status is Status.INDISTINGUISHABLE and not single:
-        least = config.present_in_refused
-        agreed = [n for n in sure if odds[n] >= least and _in_all(n, finding.entries)]
+        agreed = [n for n in sure if all(n in h.fit.ids for h, _ in finding.entries)]
         if agreed:
             names = " and ".join(agreed)
             why = reason(Cause.SURE_BESIDE, sure=names, rest=str(finding.reason))
             return case, replace(finding, sure=tuple(agreed), reason=why)
     return case, finding
-
-
-def _in_all(name: str, entries: Sequence[tuple[Hypothesis, float]]) -> bool:
-    return all(name in hypothesis.fit.ids for hypothesis, _ in entries)
 
 
 def _partly_refused(

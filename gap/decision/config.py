@@ -51,10 +51,10 @@ class DecisionConfig:
     reliable, or beside a single effect of a reliable one. A matter of definition: one in ten of
     those at the threshold is wrong."""
     present_in_refused: float = 0.94
-    """The same where the explanation was refused as a whole, or others fit as well; those between
-    `present` and this are offered. Fewer wrong names. Set on: pairs 52000 to 52419 of the held-out
-    forms and investigation 575, where 7 of 9 such effects between 0.9 and this were not there, and
-    the friction of a measured cylinder, which has 0.95."""
+    """The same where the explanation was refused as a whole; those between `present` and this are
+    offered. Fewer wrong names. Set on: pairs 52000 to 52419 of the held-out forms and investigation
+    575, where 7 of 9 such effects between 0.9 and this were not there, and the friction of a
+    measured cylinder, which has 0.95."""
     present_in_several: float = 0.8
     """Least probability of an effect that is named as one of several of an explanation that is not
     refused, or beside them. More effects found at once, at no more than 3 % wrong names. Set on:
@@ -63,9 +63,10 @@ class DecisionConfig:
     between 0.5 and 0.8 were not."""
     doubtful_unknown: float = 0.3
     """Probability of an effect outside the catalogue from which the effects of an explanation of
-    several are named as those of a refused one. Fewer wrong names. Set on: pairs 52000 to 52279 of
-    the held-out forms, where 6 of 6 such effects between 0.8 and 0.94 were not there, and sets 956
-    to 964 of the stream `several`, where no explanation is as doubtful."""
+    several are named as those of a refused one, also where others fit as well. Fewer wrong names.
+    Set on: pairs 52000 to 52279 of the held-out forms, where 6 of 6 such effects between 0.8 and
+    0.94 were not there, and sets 956 to 964 of the stream `several`, where no explanation is as
+    doubtful."""
 
     # Form of the named effect
     form_share: float = 0.9
