@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -84,3 +85,22 @@ def test_a_piece_that_gives_little_and_not_for_sure_goes() -> None:
          "a b": [4.0, 4.2, 4.2]}, 100.0,
     )  # fmt: skip
     assert search._needed([pieces["a"], pieces["b"]], frozenset()) == [pieces["a"]]
+
+
+def test_of_pieces_that_do_as_well_the_one_with_few_knots_enters() -> None:
+    """Many knots do a little better on most slots, and stray where one has another range."""
+    knots = (tuple(np.linspace(50.0, 70.0, 6)), tuple(np.linspace(50.0, 70.0, 41)))
+    few, many = (
+        Piece(("length_mm",), (own,), scale, np.array([k]), np.zeros((1, 1)))
+        for k, (own, scale) in enumerate(zip(knots, ("few", "many"), strict=True))
+    )
+    assert many.fine
+    assert not few.fine
+    search, _ = told(
+        {"": [100.0, 90.0, 95.0], "few": [10.0, 11.0, 12.0], "many": [9.0, 10.0, 11.0]}, 250.0
+    )
+    search.pieces = (few, many)
+    search.terms = cast(Any, SimpleNamespace(explained=lambda columns, without: 1.0))
+    found = search._next([], search.errors([]), frozenset())
+    assert found is not None
+    assert found[0] is few

@@ -96,7 +96,10 @@ class TermSearch:
             return float((after - best[1]).sum()) <= most
 
         simple = [one for one in tried if alike(one[1])] or [best]
-        return min(simple, key=lambda one: (len(one[0].groups - known), float(one[1].sum())))
+        return min(
+            simple,
+            key=lambda one: (len(one[0].groups - known), one[0].fine, float(one[1].sum())),
+        )
 
     def _needed(self, chosen: list[Piece], without: frozenset[int]) -> list[Piece]:
         """Pieces without which the error on slots left out rises for sure, or by much."""

@@ -80,6 +80,8 @@ _FINE = ("slip", "length_mm")
 _FINE_MM = 0.5
 """Distance of knots by which a guide that sticks in one place is found. Set on: the spacing of
 rows of practice set 43103."""
+_MANY_KNOTS = 20
+"""Knots of one input above which a piece counts as fine: more than any other piece has."""
 _EVERY_MM = -1
 """In the place of a number of knots: as many as `_FINE_MM` asks for."""
 
@@ -106,6 +108,11 @@ class Piece:
         """
         inside = set(other.inputs) <= set(self.inputs)
         return self.scale == other.scale and inside and len(self.at) >= len(other.at)
+
+    @property
+    def fine(self) -> bool:
+        """Whether its knots are many: it strays where a slot has another range."""
+        return any(len(own) > _MANY_KNOTS for own in self.knots)
 
     @property
     def groups(self) -> frozenset[str]:
