@@ -13,17 +13,23 @@ from plant.arrays import Array
 from plant.constants import REFERENCE_DENSITY_KG_M3, PlantConstants
 from plant.effects.arguments import Points
 from plant.effects.empirical import (
+    EDGE_S,
     FLOWS,
     FORGOTTEN_S,
+    INLET_EDGE,
+    INLET_FLOW,
+    OUTLET_EDGE,
+    OUTLET_FLOW,
     VALVE_FLOW,
     Correction,
     braid_scales,
     pressure_per_flow,
 )
+from plant.effects.trials import without_noise_turns
+from plant.physics.muscle import braid_force
 
 _SLIP_KPA = 15.0
 _SLIP_MM = 1.0
-_MOVING_MM = 2.0
 _SHUTS_S = 0.05
 _LONG_AGO_S = 2.0
 
@@ -40,7 +46,7 @@ def correction_at(grid: Grid, correction: Correction, c: PlantConstants) -> Arra
     made = Correction(block, tuple(plain)).value(at, count)
     if flows:
         inside = point_inputs_of(grid, block, correction.inputs)
-        inside[VALVE_FLOW] = valve_flow(grid, c)
+        inside |= valve_flows(grid, c)
         points = len(grid.points[block].time_s)
         flow = Correction(block, tuple(flows)).value(inside, points)
         made = made + risen(grid, flow[:, None], c)[:, 0]
@@ -53,16 +59,20 @@ def risen(grid: Grid, flow: Array, c: PlantConstants) -> Array:
     Args:
         flow: at the points of the pressure, shape (points, flows).
 
-    As the prediction is drawn to the reading, so is what a flow adds to it.
+    As the prediction is drawn to the reading, so is what a flow adds to it; and through an open
+    valve it passes away: a chamber at the pressure of its supply, or vented, keeps no surplus.
     """
     points = grid.points["pressure"]
+    lost = _passing_away(grid, c)
     per = pressure_per_flow(np.clip(points.length, 1e-4, 0.999 * c.braid_length_m), c)
     rate = flow * per[:, None]
     total = np.zeros_like(rate)
     for own in _spans(points):
         step = np.diff(points.time_s[own])
         gain = 0.5 * (rate[own][1:] + rate[own][:-1]) * step[:, None]
-        kept = np.exp(-np.r_[0.0, step[:-1]] / FORGOTTEN_S)
+        # What is gained in a step passes away from its middle on.
+        kept = np.exp(-step / FORGOTTEN_S - step * 0.5 * (lost[own][1:] + lost[own][:-1]))
+        gain *= np.sqrt(kept)[:, None]
         state = np.zeros(flow.shape[1])
         course = total[own]
         for k in range(len(step)):
@@ -75,23 +85,51 @@ def risen(grid: Grid, flow: Array, c: PlantConstants) -> Array:
     return np.asarray(sums / points.row_weight[:, None])
 
 
-def valve_flow(grid: Grid, c: PlantConstants) -> Array:
-    """Flow in mg/s into the chamber through the valve that is commanded open, at every point.
+def _passing_away(grid: Grid, c: PlantConstants) -> Array:
+    """Rate in 1/s at which a surplus of pressure leaves through the open valve, at every point."""
+    points = grid.points["pressure"]
+    per = pressure_per_flow(np.clip(points.length, 1e-4, 0.999 * c.braid_length_m), c)
+    valve = _edges(grid, points)[1]
+    less = _through(grid, c, valve, 0.0) - _through(grid, c, valve, _SURPLUS_PA)
+    return np.asarray(np.maximum(less.sum(axis=0) * per / (1e-3 * _SURPLUS_PA), 0.0))
 
-    ISO 6358 with the constants' conductances; out of the chamber it is negative. For a moment after
-    a valve is commanded shut it is that of the valve as if still open: it may shut late.
+
+_SURPLUS_PA = 1e3
+
+
+def valve_flows(grid: Grid, c: PlantConstants) -> dict[str, Array]:
+    """Flows in mg/s into the chamber that a term can be a share of, at every point, by scale.
+
+    ISO 6358 with the constants' conductances; out of the chamber a flow is negative. For a moment
+    after a valve is commanded shut its flow is that of the valve as if still open: it may shut
+    late.
     """
     points = grid.points["pressure"]
     since, valve = _edges(grid, points)
     closing = (valve == 0.0) & (since < _SHUTS_S)
     valve = np.where(closing, _last_open(valve), valve)
+    through_inlet, through_outlet = _through(grid, c, valve, 0.0)
+    soon = since < EDGE_S
+    return {
+        VALVE_FLOW: np.asarray(through_inlet + through_outlet),
+        INLET_FLOW: np.asarray(through_inlet),
+        OUTLET_FLOW: np.asarray(through_outlet),
+        INLET_EDGE: np.asarray(np.where(soon, through_inlet, 0.0)),
+        OUTLET_EDGE: np.asarray(np.where(soon, through_outlet, 0.0)),
+    }
+
+
+def _through(grid: Grid, c: PlantConstants, valve: Array, surplus_pa: float) -> Array:
+    """Flows in mg/s through inlet and outlet with a surplus of pressure, shape (2, points)."""
     outside = c.atmosphere_pa
-    inside = np.maximum(points.pressure + outside, 1.0)
+    inside = np.maximum(grid.points["pressure"].pressure + outside + surplus_pa, 1.0)
     supply = np.maximum(grid.supply + outside, 1.0)
     dense = 1e6 * REFERENCE_DENSITY_KG_M3
     inlet = c.inlet_conductance_m3_s_pa * supply * _factor(inside / supply, c.critical_ratio)
     outlet = c.outlet_conductance_m3_s_pa * inside * _factor(outside / inside, c.critical_ratio)
-    return np.asarray(dense * np.where(valve > 0.0, inlet, np.where(valve < 0.0, -outlet, 0.0)))
+    return dense * np.stack(
+        [np.where(valve > 0.0, inlet, 0.0), np.where(valve < 0.0, -outlet, 0.0)]
+    )
 
 
 def _last_open(valve: Array) -> Array:
@@ -120,10 +158,12 @@ def point_inputs_of(grid: Grid, block: str, names: tuple[str, ...]) -> dict[str,
 def inputs_of(grid: Grid, block: str, names: tuple[str, ...]) -> dict[str, Array]:
     """Inputs by name at every row of a block; those that do not exist in a row are zero.
 
-    `slip` is how far a loop of friction has turned since the motion last turned (-1 to 1), of the
-    length where it moves and of the pressure where it is held; `change_<time>_kpa` is the pressure
-    beyond its own mean over that time (a low-pass of first order); `valve` is +1 while the inlet is
-    commanded open, -1 while the outlet is.
+    `slip` is how far a loop of friction has turned since the motion last turned: -1 as the muscle
+    shortens or its pressure rises, 1 as it lengthens or its pressure falls; `change_<time>_kpa` is
+    the pressure beyond its own mean over that time (a low-pass of first order),
+    `pull_change_<time>_n` the same of the braid's pull; `openings` counts the commands to open a
+    valve in the trial so far; `valve` is +1 while the inlet is commanded open, -1 while the outlet
+    is.
     """
     points = grid.points[block]
     here = grid.rows.block == BLOCKS.index(block)
@@ -167,15 +207,19 @@ def _slope(points: Points) -> Array:
 
 
 def _slip(points: Points) -> Array:
-    """How far a loop has turned since the last turning point: Dahl's element, -1 to 1."""
+    """How far a loop has turned since the last turning point: Dahl's element, -1 to 1.
+
+    The fibres slip alike as the muscle shortens and as its pressure rises: both are -1. Turns that
+    only noise makes are none: a loop would run down to its middle while nothing moves.
+    """
+    travel = points.length * 1e3 / _SLIP_MM - points.path * 1e-3 / _SLIP_KPA
+    travel = np.asarray(without_noise_turns(points, travel))
     made = np.zeros(len(points.time_s))
     for own in _spans(points):
         if points.settled[own].all():
-            made[own] = points.direction[own]
+            made[own] = -points.direction[own]
             continue
-        moves = not points.held[own].all() and np.ptp(points.length[own]) * 1e3 > _MOVING_MM
-        x = points.length[own] * 1e3 / _SLIP_MM if moves else points.path[own] * 1e-3 / _SLIP_KPA
-        step = np.diff(x)
+        step = np.diff(travel[own])
         keep = np.exp(-np.abs(step))
         state, course = 0.0, [0.0]
         for sign, kept in zip(np.sign(step).tolist(), keep.tolist(), strict=True):
@@ -187,15 +231,30 @@ def _slip(points: Points) -> Array:
 
 def _change(points: Points, tau_s: float) -> Array:
     """Pressure in kPa beyond its low-pass of first order, from rest at the first point."""
+    return _beyond_mean(points, points.path * 1e-3, tau_s)
+
+
+def _pull_change(grid: Grid, points: Points, tau_s: float) -> Array:
+    """Pull in N of the stated braid beyond its low-pass of first order.
+
+    A muscle that creeps, creeps under its load, whether pressure or length has changed it.
+    """
+    c = grid.data.constants
+    pull = braid_force(points.path, points.length, c.braid_length_m, c.turns)
+    return _beyond_mean(points, np.asarray(pull), tau_s)
+
+
+def _beyond_mean(points: Points, values: Array, tau_s: float) -> Array:
+    """Values beyond their low-pass of first order, from rest at the first point of each trial."""
     made = np.zeros(len(points.time_s))
     for own in _spans(points):
-        p = points.path[own] * 1e-3
+        x = values[own]
         keep = np.exp(-np.maximum(np.diff(points.time_s[own]), 0.0) / tau_s)
-        state, course = float(p[0]), [float(p[0])]
-        for value, kept in zip(p[1:].tolist(), keep.tolist(), strict=True):
+        state, course = float(x[0]), [float(x[0])]
+        for value, kept in zip(x[1:].tolist(), keep.tolist(), strict=True):
             state = value + (state - value) * kept
             course.append(state)
-        made[own] = p - np.asarray(course)
+        made[own] = x - np.asarray(course)
     return made
 
 
@@ -219,6 +278,17 @@ def _edges(grid: Grid, points: Points) -> tuple[Array, Array]:
     return since, valve
 
 
+def _openings(grid: Grid, points: Points) -> Array:
+    """Commands to open a valve in the trial so far: a valve warms up, and sticks after a rest."""
+    made = np.zeros(len(points.time_s))
+    for t in np.unique(points.trial):
+        own = points.trial == t
+        span = slice(int(grid.first_edge[t]), int(grid.first_edge[t + 1]))
+        opens = grid.edge_s[span][grid.edge_to[span] > 0.5]
+        made[own] = np.searchsorted(opens, points.time_s[own], side="right")
+    return made
+
+
 def _held(values: Array) -> Array:
     """Values with each NaN replaced by the last known one, zero before the first."""
     at = np.where(np.isnan(values), -1, np.arange(len(values)))
@@ -239,8 +309,12 @@ _OF_POINTS: Mapping[str, Callable[[Grid, Points], Array]] = {
     "slip": lambda grid, points: _slip(points),
     "change_1s_kpa": lambda grid, points: _change(points, 1.0),
     "change_10s_kpa": lambda grid, points: _change(points, 10.0),
+    "pull_change_1s_n": lambda grid, points: _pull_change(grid, points, 1.0),
+    "pull_change_10s_n": lambda grid, points: _pull_change(grid, points, 10.0),
+    "pull_change_100s_n": lambda grid, points: _pull_change(grid, points, 100.0),
     "since_edge_s": lambda grid, points: _edges(grid, points)[0],
     "valve": lambda grid, points: _edges(grid, points)[1],
+    "openings": lambda grid, points: _openings(grid, points),
 }
 _AT_POINTS: Mapping[str, Callable[[Points], Array]] = {
     "pressure_kpa": lambda points: points.pressure * 1e-3,
@@ -250,5 +324,6 @@ _AT_POINTS: Mapping[str, Callable[[Points], Array]] = {
 }
 _TIMED = (
     "velocity_mm_s", "time_s", "pressure_rate_kpa_s", "change_1s_kpa", "change_10s_kpa",
-    "since_edge_s", "valve",
+    "pull_change_1s_n", "pull_change_10s_n", "pull_change_100s_n", "since_edge_s", "valve",
+    "openings",
 )  # fmt: skip

@@ -17,9 +17,13 @@ INPUT_TEXT = {
     "pressure_rate_kpa_s": "pressure rate, kPa/s", "temperature_c": "temperature, °C",
     "order": "order of the trial", "time_s": "time in the trial, s",
     "since_edge_s": "time since a valve's command, s", "valve": "valve open: outlet -1, inlet 1",
+    "openings": "openings of a valve so far",
     "slip": "slip since the last turn, -1 to 1",
     "change_1s_kpa": "pressure beyond its mean over 1 s, kPa",
     "change_10s_kpa": "pressure beyond its mean over 10 s, kPa",
+    "pull_change_1s_n": "pull beyond its mean over 1 s, N",
+    "pull_change_10s_n": "pull beyond its mean over 10 s, N",
+    "pull_change_100s_n": "pull beyond its mean over 100 s, N",
 }  # fmt: skip
 _SCALED = {
     "pull": "share of the pull",
@@ -27,6 +31,10 @@ _SCALED = {
     "pull_per_mm": "error of the length, mm",
     "flow": "flow into the chamber, mg/s",
     "valve_flow": "share of the valve's flow",
+    "inlet_flow": "share of the inlet's flow",
+    "outlet_flow": "share of the outlet's flow",
+    "inlet_edge": "share of the inlet's flow after a command",
+    "outlet_edge": "share of the outlet's flow after a command",
 }
 _KINDS = {
     "": "an addition",
@@ -35,6 +43,10 @@ _KINDS = {
     "pull_per_mm": "an error of the length",
     "flow": "a flow into the chamber",
     "valve_flow": "a change in proportion to the valve's flow",
+    "inlet_flow": "a change in proportion to the inlet's flow",
+    "outlet_flow": "a change in proportion to the outlet's flow",
+    "inlet_edge": "a delay of the inlet",
+    "outlet_edge": "a delay of the outlet",
 }
 
 
@@ -91,13 +103,17 @@ def _domain(term: EmpiricalTerm) -> list[tuple[str, tuple[float, float]]]:
 
 def _ends(name: str, ends: tuple[float, float]) -> str:
     what, _, unit = INPUT_TEXT[name].partition(", ")
-    return f"{what} {ends[0]:.4g} to {ends[1]:.4g} {unit}".strip()
+    scale = f"{ends[0]:.4g} to {ends[1]:.4g}"
+    # Pure numbers say their range in the text already, for the figure.
+    what, unit = what.split(":")[0], "" if any(c.isdigit() for c in unit) else unit
+    return f"{what} {scale} {unit}".strip()
 
 
 def _kind(term: EmpiricalTerm) -> str:
     """What the terms are errors of."""
     used = dict.fromkeys(t.scale for t in term.correction.terms)
-    return " and ".join(_KINDS[scale] for scale in used)
+    made = " and ".join(_KINDS[scale] for scale in used)
+    return f"{made} in place of {' and '.join(term.instead)}" if term.instead else made
 
 
 def empirical_figure(term: EmpiricalTerm | None) -> Figure | None:

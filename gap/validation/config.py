@@ -36,6 +36,12 @@ class ValidationConfig:
     """Terms of a compact expression."""
     tried_terms: int = 10
     """Terms whose held-out error is taken at each step of the selection."""
+    refitted_terms: int = 4
+    """Terms with which the constants are fitted anew, beside the selected ones. Set on: not tuned.
+    """
+    moved_sd: float = 0.5
+    """Change of a constant, in sd, from which terms are selected anew at the new constants. Set on:
+    not tuned."""
     term_errors: float = 1.0
     """Standard errors over slots by which a term must lower the held-out error to enter. Set on:
     practice sets 9000-9029; none of six sets without a gap among them got a term at 1 or 1.5."""

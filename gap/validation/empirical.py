@@ -9,7 +9,7 @@ no part in the selection either: it is repeated without each slot.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import factorial
 
@@ -17,100 +17,35 @@ import numpy as np
 
 from gap.estimation.cross_validation import HeldOut, floor_squares
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.model.empirical import inputs_of, point_inputs_of, risen, scales_of, valve_flow
+from gap.model.empirical import inputs_of, scales_of
 from gap.model.features import BLOCKS, UNITS
 from gap.validation.config import VALIDATION, ValidationConfig
 from gap.validation.expression import compact_expression
-from gap.validation.held_out_terms import HeldOutTerms, Whole, gain_and_errors, joined
+from gap.validation.terms.held_out_terms import HeldOutTerms, Whole, gain_and_errors, joined
+from gap.validation.terms.pieces import GAS_INPUTS, MUSCLE_INPUTS, Piece, pieces_of, with_flows
+from gap.validation.terms.refit import fitted_with_term
 from gap.verdict import EmpiricalTerm, NearEntry, TermCourse
 from plant.arrays import Array
-from plant.effects.empirical import (
-    FLOW,
-    FLOWS,
-    INPUTS,
-    VALVE_FLOW,
-    Correction,
-    SplineTerm,
-    product_splines,
-    splines_on,
-)
-
-_KNOTS = {"pressure_kpa": 9, "length_mm": 5, "time_s": 14, "since_edge_s": 9, "valve": 3}
-_USUAL_KNOTS = 6
-_CROSS_KNOTS = {"pressure_kpa": 4, "length_mm": 4, "since_edge_s": 4}
-_USUAL_CROSS_KNOTS = 3
-_MUSCLE = (
-    "pressure_kpa", "length_mm", "velocity_mm_s", "pressure_rate_kpa_s", "temperature_c", "order",
-    "time_s", "slip", "change_1s_kpa", "change_10s_kpa",
-)  # fmt: skip
-_GAS = (
-    "pressure_kpa", "length_mm", "velocity_mm_s", "pressure_rate_kpa_s", "temperature_c", "order",
-    "time_s", "since_edge_s", "valve", "change_1s_kpa",
-)  # fmt: skip
-_PRODUCTS = (
-    ("pressure_kpa", "length_mm"), ("slip", "pressure_kpa"), ("slip", "length_mm"),
-    ("velocity_mm_s", "length_mm"), ("velocity_mm_s", "pressure_kpa"),
-    ("valve", "pressure_kpa"), ("valve", "since_edge_s"),
-)  # fmt: skip
-# A pressure or a length that is not what it is read as, and a pull that is not in proportion.
-_SCALED = (
-    ("pull_per_kpa", "pressure_kpa"), ("pull_per_kpa", "slip"), ("pull_per_kpa", "time_s"),
-    ("pull_per_mm", "length_mm"), ("pull_per_mm", "pressure_kpa"), ("pull_per_mm", "velocity_mm_s"),
-    ("pull", "length_mm"), ("pull", "temperature_c"), ("pull", "order"), ("pull", "slip"),
-    ("pull", "time_s"), ("pull", "change_1s_kpa"), ("pull", "change_10s_kpa"),
-)  # fmt: skip
-_FLOWS = (
-    (FLOW, ("pressure_kpa",)), (FLOW, ("pressure_rate_kpa_s",)), (FLOW, ("velocity_mm_s",)),
-    (FLOW, ("time_s",)), (FLOW, ("change_1s_kpa",)), (FLOW, ("valve",)),
-    (FLOW, ("valve", "since_edge_s")), (FLOW, ("valve", "pressure_kpa")),
-    (VALVE_FLOW, ("valve",)), (VALVE_FLOW, ("valve", "pressure_kpa")),
-    (VALVE_FLOW, ("valve", "since_edge_s")), (VALVE_FLOW, ("valve", "time_s")),
-    (VALVE_FLOW, ("valve", "order")),
-)  # fmt: skip
-_FLOW_KNOTS = {"time_s": 6}
-_USUAL_FLOW_KNOTS = 3
-_AROUND_ZERO = ("pressure_rate_kpa_s", "velocity_mm_s", "change_1s_kpa", "slip")
-_EDGE_KNOTS = (0.0, 0.004, 0.012, 0.03, 0.08, 0.25, 2.0)
-"""Seconds after an edge: valves take some ten milliseconds, gas some hundred."""
-
-
-@dataclass(frozen=True)
-class Piece:
-    """A term that may enter: an offset, splines of one input, or products of those of two.
-
-    Attributes:
-        scale: one of `SCALES` that they are multiplied by, or "".
-        at: numbers of its columns among those of all pieces.
-        rough: second differences of its coefficients as a form, shape (columns, columns).
-    """
-
-    inputs: tuple[str, ...]
-    knots: tuple[tuple[float, ...], ...]
-    scale: str
-    at: Whole
-    rough: Array
-
-    def holds(self, other: Piece) -> bool:
-        """Whether it can be what the other is: a product holds what its inputs do alone, splines
-        hold a line.
-        """
-        inside = set(other.inputs) <= set(self.inputs)
-        return self.scale == other.scale and inside and len(self.at) >= len(other.at)
-
-    @property
-    def groups(self) -> frozenset[str]:
-        """Its inputs as a person calls them."""
-        return frozenset(INPUTS[name] for name in self.inputs)
+from plant.effects.empirical import FLOWS, INPUTS, Correction, SplineTerm, product_splines
 
 
 @dataclass
 class TermSearch:
-    """Pieces that may enter, and the sums from which any of them is fitted."""
+    """Pieces that may enter, and the sums from which any of them is fitted.
+
+    Attributes:
+        fit: where the plant is made linear.
+        recalibrated: sums at the plant that was recalibrated without a term: what is closed is
+            closed of its errors.
+        gap: squared errors of that plant on slots left out, beyond the floor.
+    """
 
     block: str
+    fit: FitResult
     pieces: tuple[Piece, ...]
     basis: Array
     terms: HeldOutTerms
+    recalibrated: HeldOutTerms
     gap: float
     config: ValidationConfig
 
@@ -118,10 +53,16 @@ class TermSearch:
         """Columns of some pieces."""
         return joined([piece.at for piece in chosen])
 
+    def errors(self, chosen: Sequence[Piece], without: frozenset[int] = frozenset()) -> Array:
+        """Squared errors on every slot that is not `without`, each left out in turn."""
+        if not chosen:
+            return self.recalibrated.errors(self.columns([]), without)
+        return self.terms.errors(self.columns(chosen), without)
+
     def select(self, without: frozenset[int] = frozenset()) -> list[Piece]:
         """Forward selection on slots that are not `without`, then pieces that are not needed go."""
         chosen: list[Piece] = []
-        errors = self.terms.errors(self.columns(chosen), without)
+        errors = self.errors(chosen, without)
         for _ in range(self.config.most_terms):
             found = self._next(chosen, errors, without)
             if found is None:
@@ -129,7 +70,7 @@ class TermSearch:
             piece, errors = found
             chosen = [one for one in chosen if not piece.holds(one)]
             chosen.append(piece)
-            errors = self.terms.errors(self.columns(chosen), without)
+            errors = self.errors(chosen, without)
         return self._needed(chosen, without)
 
     def _next(
@@ -141,7 +82,7 @@ class TermSearch:
         new.sort(key=lambda p: -self.terms.explained(self.columns([*chosen, p]), without))
         tried: list[tuple[Piece, Array]] = []
         for piece in new[: self.config.tried_terms]:
-            after = self.terms.errors(self.columns([*chosen, piece]), without)
+            after = self.errors([*chosen, piece], without)
             gain, sure = gain_and_errors(errors, after)
             if sure > self.config.term_errors and gain > self.config.term_share * self.gap:
                 tried.append((piece, after))
@@ -155,19 +96,23 @@ class TermSearch:
             return float((after - best[1]).sum()) <= most
 
         simple = [one for one in tried if alike(one[1])] or [best]
-        return min(simple, key=lambda one: (len(one[0].groups - known), float(one[1].sum())))
+        return min(
+            simple,
+            key=lambda one: (len(one[0].groups - known), one[0].fine, float(one[1].sum())),
+        )
 
     def _needed(self, chosen: list[Piece], without: frozenset[int]) -> list[Piece]:
-        """Pieces without which the error on slots left out rises for sure."""
+        """Pieces without which the error on slots left out rises for sure, or by much."""
         for piece in [*chosen]:
             rest = [one for one in chosen if one is not piece]
             if not rest:
                 break
-            lost, sure = gain_and_errors(
-                self.terms.errors(self.columns(rest), without),
-                self.terms.errors(self.columns(chosen), without),
-            )
-            if lost < self.config.term_share * self.gap or sure < 1.0:
+            errors = self.errors(chosen, without)
+            lost, sure = gain_and_errors(self.errors(rest, without), errors)
+            whole = float((self.errors([], without) - errors).sum())
+            # One slot alone may hold most of a gap: what all of it hangs on is needed.
+            little = lost < self.config.alike_share * whole and sure < 1.0
+            if lost < self.config.term_share * self.gap or little:
                 chosen = rest
         return chosen
 
@@ -184,12 +129,15 @@ class TermSearch:
         return list({id(piece): piece for piece in made}.values())
 
     def shares(self, chosen: Sequence[Piece]) -> dict[str, float]:
-        """Shapley values of the inputs in what is closed on slots left out; negative ones are 0."""
+        """Shapley values of the inputs in what is closed on slots left out; negative ones are 0.
+
+        Empty where all of it is an offset.
+        """
         names = sorted(frozenset[str]().union(*(piece.groups for piece in chosen)))
-        nothing = float(self.terms.errors(self.columns([])).sum())
+        nothing = float(self.errors([]).sum())
         worth = {
             frozenset(some): nothing
-            - float(self.terms.errors(self.columns(self.within(chosen, frozenset(some)))).sum())
+            - float(self.errors(self.within(chosen, frozenset(some))).sum())
             for count in range(len(names) + 1)
             for some in combinations(names, count)
         }
@@ -203,7 +151,9 @@ class TermSearch:
                     weight = factorial(k) * factorial(n - k - 1) / factorial(n)
                     value += weight * (worth[some | {name}] - alone)
             made[name] = max(value, 0.0)
-        total = max(sum(made.values()), 1e-300)
+        total = sum(made.values())
+        if total <= 0.0:  # an offset does as well
+            return {}
         return dict(sorted(((k, v / total) for k, v in made.items()), key=lambda one: -one[1]))
 
 
@@ -245,22 +195,74 @@ def _term_of(
     problem: FitProblem, fit: FitResult, block: str, nearest: Sequence[str],
     config: ValidationConfig,
 ) -> EmpiricalTerm | None:  # fmt: skip
-    search = search_of(problem, fit, block, config)
-    if search is None:
+    first = search_of(problem, fit, block, config)
+    if first is None:
         return None
-    chosen = search.select()
-    if not chosen:
-        return None
-    held = _held_out(problem, search, block)
+    for search in (_with_constants_back(problem, first), first):
+        chosen = search.select() if search is not None else []
+        if search is None or not chosen:
+            continue
+        held = _held_out(problem, search)
+        found = held.closed()
+        if found is not None and found[1] > 0.0:
+            return _stated(problem, fit, search, chosen, held, nearest)
+    return None
+
+
+def _with_constants_back(problem: FitProblem, first: TermSearch) -> TermSearch | None:
+    """The search where the constants are fitted together with what looks best of a term.
+
+    None where that moves no constant by much: there all is linear anyway.
+    """
+    config, everything = first.config, frozenset[int]()
+    explained = {p.at[0]: first.terms.explained(p.at, everything) for p in first.pieces}
+    alone = sorted(first.pieces, key=lambda p: -explained[p.at[0]])[: config.refitted_terms]
+    search = first
+    for tried in ([[p] for p in alone], []):
+        chosen = search.select()
+        fits = [_refitted(problem, search, own) for own in [*tried, chosen] if own]
+        if not fits:
+            break
+        fit = min(fits, key=lambda one: one[1])[0]
+        if np.abs(fit.shift - search.fit.shift).max() < config.moved_sd:
+            break
+        again = search_of(problem, fit, search.block, config, first)
+        if again is None:
+            break
+        search = again
+    return None if search is first else search
+
+
+def _refitted(
+    problem: FitProblem, search: TermSearch, chosen: Sequence[Piece]
+) -> tuple[FitResult, float]:
+    """Constants fitted with some pieces, and the cost with that of their number (Schwarz 1978)."""
+    own = search.columns(chosen)
+    columns = np.zeros((len(problem.rows), len(own)))
+    columns[problem.rows.block == BLOCKS.index(search.block)] = search.basis[:, own]
+    penalty = search.terms.penalty[np.ix_(own, own)]
+    fit, cost = fitted_with_term(problem, search.fit, columns, penalty)
+    return fit, cost + len(own) * float(np.log(len(problem.rows)))
+
+
+def _stated(
+    problem: FitProblem, fit: FitResult, search: TermSearch, chosen: list[Piece], held: HeldOut,
+    nearest: Sequence[str],
+) -> EmpiricalTerm | None:  # fmt: skip
+    """The term of a search as it is handed out, with constants moved from those of `fit`."""
     found = held.closed()
-    if found is None or found[1] <= 0.0:
+    if found is None:
         return None
+    columns = search.columns(chosen)
+    coefficients = search.terms.coefficients(columns)
     shares = search.shares(chosen)
-    terms = tuple(_spline_term(p, search.terms.coefficients(search.columns(chosen)), chosen)
-                  for p in chosen)  # fmt: skip
+    correction = Correction(
+        search.block, tuple(_spline_term(p, coefficients, chosen) for p in chosen)
+    )
+    moved = np.r_[search.fit.shift - fit.shift, search.fit.amounts - fit.amounts]
     return EmpiricalTerm(
-        unit=UNITS[block],
-        correction=Correction(block, terms),
+        unit=UNITS[search.block],
+        correction=correction,
         shares=shares,
         closed=found[0],
         closed_low=found[1],
@@ -268,27 +270,33 @@ def _term_of(
         recalibrated=held.rms("recalibrated"),
         after=held.rms("after"),
         floor=held.rms("floor"),
-        moved=search.terms.moved(search.columns(chosen)),
+        moved=moved + search.terms.moved(columns),
         courses=tuple(_course(search, chosen, piece) for piece in chosen if piece.inputs),
-        expression=compact_expression(problem, fit, search.terms.errors(search.columns(chosen)),
-                                      Correction(block, terms), config),
-        nearest=_nearest(problem, fit, search, chosen, shares, tuple(nearest)),
-    )  # fmt: skip
+        expression=compact_expression(
+            problem, search.fit, search.errors(chosen), search.errors([]), correction, search.config
+        ),
+        nearest=_nearest(problem, search, chosen, shares, tuple(nearest)),
+    )
 
 
 def search_of(
-    problem: FitProblem, fit: FitResult, block: str, config: ValidationConfig
-) -> TermSearch | None:
-    """Pieces and sums for one block; None where too few slots have it or it shows no gap."""
+    problem: FitProblem, fit: FitResult, block: str, config: ValidationConfig,
+    first: TermSearch | None = None,
+) -> TermSearch | None:  # fmt: skip
+    """Pieces and sums for one block; None where too few slots have it or it shows no gap.
+
+    Args:
+        first: the search at the recalibrated plant, where `fit` is another.
+    """
     here = problem.rows.block == BLOCKS.index(block)
-    names = _GAS if block == "pressure" else _MUSCLE
+    names = GAS_INPUTS if block == "pressure" else MUSCLE_INPUTS
     at = inputs_of(problem.grid, block, names)
     count = int(here.sum())
     if block != "pressure":
         at |= scales_of(problem.grid, block, problem.constants(fit.shift))
-    pieces, columns = _pieces(at, count)
+    pieces, columns = pieces_of(at, count)
     if block == "pressure":
-        pieces, columns = _with_flows(problem, fit, pieces, columns)
+        pieces, columns = with_flows(problem, fit, pieces, columns)
     if not pieces:
         return None
     size = max(float(np.sqrt(np.mean(fit.residual[here] ** 2))), 1e-9)
@@ -302,10 +310,13 @@ def search_of(
     terms = HeldOutTerms.of(problem, fit, block, columns, penalty)
     if len(terms.slots) < config.least_slots:
         return None
+    if first is not None:
+        return replace(first, fit=fit, pieces=pieces, basis=columns, terms=terms)
     base = terms.errors(np.empty(0, dtype=np.int64))
     floor = floor_squares(problem, problem.units)[block][list(terms.slots)]
     gap = float(base.sum() - floor.sum())
-    return TermSearch(block, pieces, columns, terms, gap, config) if gap > 0.0 else None
+    made = TermSearch(block, fit, pieces, columns, terms, terms, gap, config)
+    return made if gap > 0.0 else None
 
 
 def _rms(x: Array | None) -> float:
@@ -313,115 +324,22 @@ def _rms(x: Array | None) -> float:
     return 1.0 if x is None else max(float(np.sqrt(np.mean(x**2))), 1e-15)
 
 
-def _held_out(problem: FitProblem, search: TermSearch, block: str) -> HeldOut:
+def _held_out(problem: FitProblem, search: TermSearch) -> HeldOut:
     """Errors on each slot, with the pieces selected and fitted without it."""
-    terms = search.terms
-    slots = list(terms.slots)
-    base = terms.errors(np.empty(0, dtype=np.int64))
-    after = np.array([terms.error(s, search.columns(search.select(frozenset({s})))) for s in slots])
-    floor = floor_squares(problem, problem.units)[block][slots]
-    here = problem.rows.block == BLOCKS.index(block)
+    slots = list(search.terms.slots)
+    base = search.errors([])
+    after = base.copy()
+    for k, slot in enumerate(slots):
+        chosen = search.select(frozenset({slot}))
+        if chosen:
+            after[k] = search.terms.error(slot, search.columns(chosen))
+    floor = floor_squares(problem, problem.units)[search.block][slots]
+    here = problem.rows.block == BLOCKS.index(search.block)
     weight = np.bincount(
         problem.units[problem.rows.trial[here]], weights=problem.rows.span_s[here],
         minlength=max(slots) + 1,
     )[slots].astype(np.float64)  # fmt: skip
     return HeldOut(base, base, after, floor, weight)
-
-
-def _pieces(at: dict[str, Array], count: int) -> tuple[tuple[Piece, ...], Array]:
-    """All pieces that these inputs can make, and their columns side by side."""
-    varied = {
-        name: x
-        for name, x in at.items()
-        if name in INPUTS and np.ptp(x) > 1e-6 * (1.0 + np.abs(x).max())
-    }
-    single = [("", name) for name in varied] + [(s, name) for s, name in _SCALED if s in at]
-    wanted: list[tuple[str, tuple[str, ...], int]] = [("", (), 0)]
-    wanted += [(scale, (name,), _most_knots(name, 1)) for scale, name in single]
-    # A line carries to slots beyond the others' range, where splines go astray.
-    wanted += [(scale, (name,), 2) for scale, name in single if name != "since_edge_s"]
-    wanted += [("", pair, 0) for pair in _PRODUCTS]
-    made: list[Piece] = []
-    columns: list[Array] = []
-    first = 0
-    for scale, inputs, most in wanted:
-        if not all(name in varied for name in inputs):
-            continue
-        knots = tuple(_knots(varied[n], most or _most_knots(n, len(inputs)), n) for n in inputs)
-        if most == 2 and len(np.unique(np.round(varied[inputs[0]], 6))) <= 3:
-            continue  # the splines on so few settings say as much
-        own = product_splines([varied[n] for n in inputs], knots, count)
-        columns.append(own * at[scale][:, None] if scale else own)
-        width = own.shape[1]
-        made.append(Piece(inputs, knots, scale, np.arange(first, first + width), _rough(knots)))
-        first += width
-    return tuple(made), np.hstack(columns) if columns else np.empty((count, 0))
-
-
-def _with_flows(
-    problem: FitProblem, fit: FitResult, pieces: tuple[Piece, ...], columns: Array
-) -> tuple[tuple[Piece, ...], Array]:
-    """The pieces with those of flows into the chamber, which are summed up over time."""
-    at = point_inputs_of(problem.grid, "pressure", _GAS)
-    count = len(next(iter(at.values())))
-    made, flows = list(pieces), []
-    first = columns.shape[1]
-    own_flow = valve_flow(problem.grid, problem.constants(fit.shift))
-    for scale, inputs in _FLOWS:
-        if any(np.ptp(at[name]) < 1e-6 for name in inputs):
-            continue
-        knots = tuple(_knots(at[n], _FLOW_KNOTS.get(n, _USUAL_FLOW_KNOTS), n) for n in inputs)
-        own = product_splines([at[n] for n in inputs], knots, count)
-        flows.append(own * own_flow[:, None] if scale == VALVE_FLOW else own)
-        width = flows[-1].shape[1]
-        made.append(Piece(inputs, knots, scale, np.arange(first, first + width), _rough(knots)))
-        first += width
-    if not flows:
-        return pieces, columns
-    raised = risen(problem.grid, np.hstack(flows), problem.constants(fit.shift))
-    return tuple(made), np.hstack([columns, raised])
-
-
-def _most_knots(name: str, inputs: int) -> int:
-    if inputs == 1:
-        return _KNOTS.get(name, _USUAL_KNOTS)
-    return _CROSS_KNOTS.get(name, _USUAL_CROSS_KNOTS)
-
-
-def _knots(x: Array, most: int, name: str) -> tuple[float, ...]:
-    """Rising knots over the range of x: at its settings where these are few, else at quantiles."""
-    if name == "since_edge_s":
-        return _EDGE_KNOTS
-    settings = np.unique(np.round(x, 6))
-    if len(settings) <= 3:
-        return tuple(settings.tolist())
-    even = np.linspace(settings[0], settings[-1], most)
-    quantiles = np.quantile(x, np.linspace(0.0, 1.0, most))
-    # Half way: few rows must not leave a wide range to one spline, nor many a narrow one.
-    if name in _AROUND_ZERO and settings[0] < 0.0 < settings[-1] and most == 3:
-        return (float(settings[0]), 0.0, float(settings[-1]))
-    inner = np.unique(np.round(0.5 * (even + quantiles), 6))
-    apart = 1e-3 * float(np.ptp(inner))
-    kept = [float(inner[0])]
-    kept += [float(k) for k in inner[1:-1] if k - kept[-1] > apart and inner[-1] - k > apart]
-    return (*kept, float(inner[-1]))
-
-
-def _rough(knots: tuple[tuple[float, ...], ...]) -> Array:
-    """Sum of squared second differences along each input (Eilers and Marx 1996)."""
-    widths = [splines_on(own) for own in knots]
-    made = np.zeros((int(np.prod(widths)),) * 2)
-    for k, width in enumerate(widths):
-        if width < 3:
-            continue
-        bend = np.diff(np.eye(width), 2, axis=0)
-        parts = [np.eye(w) for w in widths]
-        parts[k] = bend.T @ bend
-        whole: Array = np.ones((1, 1))
-        for part in parts:
-            whole = np.kron(whole, part).astype(np.float64)
-        made += whole
-    return made
 
 
 def _spline_term(piece: Piece, coefficients: Array, chosen: Sequence[Piece]) -> SplineTerm:
@@ -456,14 +374,14 @@ def _course(search: TermSearch, chosen: Sequence[Piece], piece: Piece) -> TermCo
 
 
 def _nearest(
-    problem: FitProblem, fit: FitResult, search: TermSearch, chosen: Sequence[Piece],
+    problem: FitProblem, search: TermSearch, chosen: Sequence[Piece],
     shares: dict[str, float], ids: Sequence[str],
 ) -> tuple[NearEntry, ...]:  # fmt: skip
     """How much of the term each entry could be, and the inputs in which they differ."""
     here = problem.rows.block == BLOCKS.index(search.block)
     weight: Array = np.sqrt(problem.rows.span_s[here])
     n = len(problem.names)
-    whole = problem.signatures(fit)
+    whole = problem.signatures(search.fit)
     known = whole[here, :n] * weight[:, None]
     scale = np.sqrt(np.maximum(np.mean(known**2, axis=0), 1e-300))
     even = known / scale

@@ -17,7 +17,7 @@ from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.empirical import inputs_of, scales_of
 from gap.model.features import BLOCKS, UNITS
 from gap.validation.config import ValidationConfig
-from gap.validation.held_out_terms import HeldOutTerms, Whole, gain_and_errors
+from gap.validation.terms.held_out_terms import HeldOutTerms, Whole, gain_and_errors
 from gap.verdict import Expression
 from plant.arrays import Array
 from plant.effects.empirical import FLOWS, Correction
@@ -28,8 +28,10 @@ _SHORT = {
     "pressure_kpa": ("p", "kPa"), "length_mm": ("L", "mm"), "velocity_mm_s": ("v", "mm/s"),
     "pressure_rate_kpa_s": ("dp/dt", "kPa/s"), "temperature_c": ("T", "°C"),
     "order": ("order", ""), "time_s": ("t", "s"), "since_edge_s": ("t_edge", "s"),
-    "valve": ("valve", ""), "slip": ("slip", ""),
+    "valve": ("valve", ""), "openings": ("openings", ""), "slip": ("slip", ""),
     "change_1s_kpa": ("p - mean of 1 s", "kPa"), "change_10s_kpa": ("p - mean of 10 s", "kPa"),
+    "pull_change_1s_n": ("F - mean of 1 s", "N"), "pull_change_10s_n": ("F - mean of 10 s", "N"),
+    "pull_change_100s_n": ("F - mean of 100 s", "N"),
 }  # fmt: skip
 _BOTH_SIDES = 0.1
 """Share of its range that an input must have on either side of zero for zero to be its middle."""
@@ -45,7 +47,7 @@ class _Word:
 
 
 def compact_expression(
-    problem: FitProblem, fit: FitResult, splines: Array, correction: Correction,
+    problem: FitProblem, fit: FitResult, splines: Array, nothing: Array, correction: Correction,
     config: ValidationConfig,
 ) -> Expression | None:  # fmt: skip
     """A formula in the inputs of a correction; None where none does nearly as well.
@@ -54,6 +56,7 @@ def compact_expression(
 
     Args:
         splines: squared errors of the correction on held-out slots, shape (slots,).
+        nothing: those of the plant without it, shape (slots,).
     """
     block = correction.block
     at = inputs_of(problem.grid, block, correction.inputs)
@@ -74,7 +77,6 @@ def compact_expression(
     if not len(chosen):
         return None
     lost, sure = gain_and_errors(errors, splines)
-    nothing = terms.errors(np.empty(0, dtype=np.int64))
     floor = floor_squares(problem, problem.units)[block][list(terms.slots)]
     if sure > 1.0 and lost > 0.0:
         return None

@@ -16,7 +16,9 @@ of the same plant file says at that pressure and length: its pull in N ("pull"),
 by 1 kPa ("pull_per_kpa") or by 1 mm ("pull_per_mm"); its splines then give a share of the pull, an
 error of the pressure in kPa or of the length in mm. With the scale "flow" its splines give a flow
 in mg/s into the chamber, whose pressure it raises, with "valve_flow" a share of the flow of the
-valve that is commanded open; what a flow raised is forgotten with `FORGOTTEN_S`.
+valve that is commanded open, with "inlet_flow" or "outlet_flow" of that one alone, with
+"inlet_edge" or "outlet_edge" of its flow in the `EDGE_S` after it is commanded open or shut; what
+a flow raised is forgotten with `FORGOTTEN_S`.
 It says nothing of another bench.
 """
 
@@ -46,9 +48,13 @@ INPUTS = {
     "time_s": "history",
     "since_edge_s": "history",
     "valve": "history",
+    "openings": "history",
     "slip": "history",
     "change_1s_kpa": "history",
     "change_10s_kpa": "history",
+    "pull_change_1s_n": "history",
+    "pull_change_10s_n": "history",
+    "pull_change_100s_n": "history",
 }
 """Inputs of a correction, and what a person calls each."""
 SCALES = ("pull", "pull_per_kpa", "pull_per_mm")
@@ -57,7 +63,18 @@ FLOW = "flow"
 """Scale of a term of the pressure whose splines are a flow into the chamber, mg/s."""
 VALVE_FLOW = "valve_flow"
 """Scale of a term of the pressure whose splines are a share of the valve's own flow."""
-FLOWS = (FLOW, VALVE_FLOW)
+INLET_FLOW = "inlet_flow"
+"""Scale of a term of the pressure whose splines are a share of the inlet's flow."""
+OUTLET_FLOW = "outlet_flow"
+"""The same of the outlet."""
+INLET_EDGE = "inlet_edge"
+"""The same of the inlet in the `EDGE_S` after a command: what passes too late or too early."""
+OUTLET_EDGE = "outlet_edge"
+"""The same of the outlet."""
+FLOWS = (FLOW, VALVE_FLOW, INLET_FLOW, OUTLET_FLOW, INLET_EDGE, OUTLET_EDGE)
+EDGE_S = 0.03
+"""Seconds after a command for which `INLET_EDGE` and `OUTLET_EDGE` last: a small valve opens or
+shuts within some ten milliseconds."""
 _SCALES_OF = {"force": SCALES, "load": SCALES, "pressure": FLOWS, "camera": ()}
 FORGOTTEN_S = 5.0
 """Time constant with which the diagnosis draws a predicted pressure to the reading."""

@@ -1,0 +1,245 @@
+"""Pieces that an empirical term may be made of: splines of one input, or products of those of two.
+
+Those of a force or a length are values at every row; those of the gas are flows into the chamber,
+summed up over time to a pressure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.model.empirical import point_inputs_of, risen, valve_flows
+from gap.validation.terms.held_out_terms import Whole
+from plant.arrays import Array
+from plant.effects.empirical import (
+    EDGE_S,
+    FLOW,
+    INLET_EDGE,
+    INLET_FLOW,
+    INPUTS,
+    OUTLET_EDGE,
+    OUTLET_FLOW,
+    VALVE_FLOW,
+    product_splines,
+    splines_on,
+)
+
+_KNOTS = {"pressure_kpa": 9, "length_mm": 5, "time_s": 14, "since_edge_s": 9, "valve": 3}
+_USUAL_KNOTS = 6
+_CROSS_KNOTS = {"pressure_kpa": 4, "length_mm": 4, "since_edge_s": 4}
+_USUAL_CROSS_KNOTS = 3
+MUSCLE_INPUTS = (
+    "pressure_kpa", "length_mm", "velocity_mm_s", "pressure_rate_kpa_s", "temperature_c", "order",
+    "time_s", "slip", "change_1s_kpa", "change_10s_kpa",
+    "pull_change_1s_n", "pull_change_10s_n", "pull_change_100s_n",
+)  # fmt: skip
+GAS_INPUTS = (
+    "pressure_kpa", "length_mm", "velocity_mm_s", "pressure_rate_kpa_s", "temperature_c", "order",
+    "time_s", "since_edge_s", "valve", "openings", "change_1s_kpa",
+)  # fmt: skip
+_PRODUCTS = (
+    ("pressure_kpa", "length_mm"), ("slip", "pressure_kpa"), ("slip", "length_mm"),
+    ("velocity_mm_s", "length_mm"), ("velocity_mm_s", "pressure_kpa"),
+    ("valve", "pressure_kpa"), ("valve", "since_edge_s"),
+)  # fmt: skip
+# A pressure or a length that is not what it is read as, and a pull that is not in proportion.
+_SCALED = (
+    ("pull_per_kpa", "pressure_kpa"), ("pull_per_kpa", "slip"), ("pull_per_kpa", "time_s"),
+    ("pull_per_mm", "length_mm"), ("pull_per_mm", "pressure_kpa"), ("pull_per_mm", "velocity_mm_s"),
+    ("pull", "length_mm"), ("pull", "temperature_c"), ("pull", "order"), ("pull", "slip"),
+    ("pull", "time_s"), ("pull", "change_1s_kpa"), ("pull", "change_10s_kpa"),
+)  # fmt: skip
+_FLOWS = (
+    (FLOW, ("pressure_kpa",)), (FLOW, ("pressure_rate_kpa_s",)), (FLOW, ("velocity_mm_s",)),
+    (FLOW, ("time_s",)), (FLOW, ("change_1s_kpa",)), (FLOW, ("valve",)),
+    (FLOW, ("valve", "since_edge_s")), (FLOW, ("valve", "pressure_kpa")),
+    (VALVE_FLOW, ("valve",)), (VALVE_FLOW, ("valve", "pressure_kpa")),
+    (VALVE_FLOW, ("valve", "since_edge_s")), (VALVE_FLOW, ("valve", "time_s")),
+    (VALVE_FLOW, ("valve", "order")),
+    *((edge, ("valve",)) for edge in (INLET_EDGE, OUTLET_EDGE)),
+    *((edge, (own, "valve")) for edge in (INLET_EDGE, OUTLET_EDGE)
+      for own in ("since_edge_s", "pressure_kpa", "time_s", "openings", "order")),
+    *((flow, own) for flow in (INLET_FLOW, OUTLET_FLOW)
+      for own in (("since_edge_s",), ("pressure_kpa",), ("time_s",), ("openings",))),
+)  # fmt: skip
+_FLOW_KNOTS = {"time_s": 6}
+_USUAL_FLOW_KNOTS = 3
+_AROUND_ZERO = ("pressure_rate_kpa_s", "velocity_mm_s", "change_1s_kpa", "slip")
+_EDGE_KNOTS = (0.0, 0.004, 0.012, 0.03, 0.08, 0.25, 2.0)
+"""Seconds after an edge: valves take some ten milliseconds, gas some hundred."""
+
+
+_LATE_KNOTS = (0.0, 0.004, 0.008, 0.011, 0.014, 0.018, 0.023, EDGE_S)
+"""Seconds after a command: as fine as rows are where a small valve opens or shuts."""
+_START_KNOTS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.4, 2.0, 4.0, 8.0, 16.0, 32.0)
+"""Seconds of a trial, close at its start, where a supply settles."""
+_FINE = ("slip", "length_mm")
+_FINE_MM = 0.5
+"""Distance of knots by which a guide that sticks in one place is found. Set on: the spacing of
+rows of practice set 43103."""
+_MANY_KNOTS = 20
+"""Knots of one input above which a piece counts as fine: more than any other piece has."""
+_EVERY_MM = -1
+"""In the place of a number of knots: as many as `_FINE_MM` asks for."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A term that may enter: an offset, splines of one input, or products of those of two.
+
+    Attributes:
+        scale: one of `SCALES` that they are multiplied by, or "".
+        at: numbers of its columns among those of all pieces.
+        rough: second differences of its coefficients as a form, shape (columns, columns).
+    """
+
+    inputs: tuple[str, ...]
+    knots: tuple[tuple[float, ...], ...]
+    scale: str
+    at: Whole
+    rough: Array
+
+    def holds(self, other: Piece) -> bool:
+        """Whether it can be what the other is: a product holds what its inputs do alone, splines
+        hold a line.
+        """
+        inside = set(other.inputs) <= set(self.inputs)
+        return self.scale == other.scale and inside and len(self.at) >= len(other.at)
+
+    @property
+    def fine(self) -> bool:
+        """Whether its knots are many: it strays where a slot has another range."""
+        return any(len(own) > _MANY_KNOTS for own in self.knots)
+
+    @property
+    def groups(self) -> frozenset[str]:
+        """Its inputs as a person calls them."""
+        return frozenset(INPUTS[name] for name in self.inputs)
+
+
+def pieces_of(at: dict[str, Array], count: int) -> tuple[tuple[Piece, ...], Array]:
+    """All pieces that these inputs can make, and their columns side by side, shape (rows, columns).
+
+    Args:
+        at: inputs, and scales of a force, at every row, shape (rows,) each.
+        count: number of rows.
+    """
+    varied = {
+        name: x
+        for name, x in at.items()
+        if name in INPUTS and np.ptp(x) > 1e-6 * (1.0 + np.abs(x).max())
+    }
+    single = [("", name) for name in varied] + [(s, name) for s, name in _SCALED if s in at]
+    wanted: list[tuple[str, tuple[str, ...], int]] = [("", (), 0)]
+    wanted += [(scale, (name,), _most_knots(name, 1)) for scale, name in single]
+    # A line carries to slots beyond the others' range, where splines go astray.
+    wanted += [(scale, (name,), 2) for scale, name in single if name != "since_edge_s"]
+    wanted += [("", pair, 0) for pair in _PRODUCTS]
+    # What a fine product takes is shared out to its inputs by as fine splines of each.
+    wanted += [("", inputs, _EVERY_MM) for inputs in (_FINE, ("length_mm",))]
+    made: list[Piece] = []
+    columns: list[Array] = []
+    first = 0
+    for scale, inputs, most in wanted:
+        if not all(name in varied for name in inputs):
+            continue
+        knots = tuple(
+            _fine_knots(varied[n], n)
+            if most == _EVERY_MM
+            else _knots(varied[n], most or _most_knots(n, len(inputs)), n)
+            for n in inputs
+        )
+        if most == 2 and len(np.unique(np.round(varied[inputs[0]], 6))) <= 3:
+            continue  # the splines on so few settings say as much
+        own = product_splines([varied[n] for n in inputs], knots, count)
+        columns.append(own * at[scale][:, None] if scale else own)
+        width = own.shape[1]
+        made.append(Piece(inputs, knots, scale, np.arange(first, first + width), _rough(knots)))
+        first += width
+    return tuple(made), np.hstack(columns) if columns else np.empty((count, 0))
+
+
+def with_flows(
+    problem: FitProblem, fit: FitResult, pieces: tuple[Piece, ...], columns: Array
+) -> tuple[tuple[Piece, ...], Array]:
+    """The pieces with those of flows into the chamber, which are summed up over time."""
+    at = point_inputs_of(problem.grid, "pressure", GAS_INPUTS)
+    count = len(next(iter(at.values())))
+    made, flows = list(pieces), []
+    first = columns.shape[1]
+    through = valve_flows(problem.grid, problem.constants(fit.shift))
+    for scale, inputs in _FLOWS:
+        if any(np.ptp(at[name]) < 1e-6 for name in inputs):
+            continue
+        knots = tuple(_flow_knots(at[n], n, scale) for n in inputs)
+        own = product_splines([at[n] for n in inputs], knots, count)
+        flows.append(own * through[scale][:, None] if scale in through else own)
+        width = flows[-1].shape[1]
+        made.append(Piece(inputs, knots, scale, np.arange(first, first + width), _rough(knots)))
+        first += width
+    if not flows:
+        return pieces, columns
+    raised = risen(problem.grid, np.hstack(flows), problem.constants(fit.shift))
+    return tuple(made), np.hstack([columns, raised])
+
+
+def _flow_knots(x: Array, name: str, scale: str) -> tuple[float, ...]:
+    if scale in (INLET_EDGE, OUTLET_EDGE) and name == "since_edge_s":
+        return _LATE_KNOTS
+    if scale in (INLET_FLOW, OUTLET_FLOW) and name == "time_s":
+        last = float(x.max())
+        return (0.0, *(t for t in _START_KNOTS if t < 0.9 * last), last)
+    return _knots(x, _FLOW_KNOTS.get(name, _USUAL_FLOW_KNOTS), name)
+
+
+def _fine_knots(x: Array, name: str) -> tuple[float, ...]:
+    """Knots near enough for a place of the guide; only its direction matters of a slip."""
+    if name != "length_mm":
+        return (float(x.min()), float(x.max()))
+    count = max(round(float(np.ptp(x)) / _FINE_MM), 3)
+    return tuple(np.linspace(float(x.min()), float(x.max()), count + 1).tolist())
+
+
+def _most_knots(name: str, inputs: int) -> int:
+    if inputs == 1:
+        return _KNOTS.get(name, _USUAL_KNOTS)
+    return _CROSS_KNOTS.get(name, _USUAL_CROSS_KNOTS)
+
+
+def _knots(x: Array, most: int, name: str) -> tuple[float, ...]:
+    """Rising knots over the range of x: at its settings where these are few, else at quantiles."""
+    if name == "since_edge_s":
+        return _EDGE_KNOTS
+    settings = np.unique(np.round(x, 6))
+    if len(settings) <= 3:
+        return tuple(settings.tolist())
+    even = np.linspace(settings[0], settings[-1], most)
+    quantiles = np.quantile(x, np.linspace(0.0, 1.0, most))
+    # Half way: few rows must not leave a wide range to one spline, nor many a narrow one.
+    if name in _AROUND_ZERO and settings[0] < 0.0 < settings[-1] and most == 3:
+        return (float(settings[0]), 0.0, float(settings[-1]))
+    inner = np.unique(np.round(0.5 * (even + quantiles), 6))
+    apart = 1e-3 * float(np.ptp(inner))
+    kept = [float(inner[0])]
+    kept += [float(k) for k in inner[1:-1] if k - kept[-1] > apart and inner[-1] - k > apart]
+    return (*kept, float(inner[-1]))
+
+
+def _rough(knots: tuple[tuple[float, ...], ...]) -> Array:
+    """Sum of squared second differences along each input (Eilers and Marx 1996)."""
+    widths = [splines_on(own) for own in knots]
+    made = np.zeros((int(np.prod(widths)),) * 2)
+    for k, width in enumerate(widths):
+        if width < 3:
+            continue
+        bend = np.diff(np.eye(width), 2, axis=0)
+        parts = [np.eye(w) for w in widths]
+        parts[k] = bend.T @ bend
+        whole: Array = np.ones((1, 1))
+        for part in parts:
+            whole = np.kron(whole, part).astype(np.float64)
+        made += whole
+    return made
