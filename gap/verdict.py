@@ -232,8 +232,6 @@ class EmpiricalTerm:
         courses: the shape, for a figure.
         expression: a short formula that closes nearly as much; None where there is none.
         nearest: entries of the catalogue that come nearest to it, nearest first.
-        instead: effects in whose place it stands: their form is not adequate, and beside them
-            nothing is left to describe. `moved` then starts from the recalibrated plant.
     """
 
     unit: str
@@ -249,7 +247,6 @@ class EmpiricalTerm:
     courses: tuple[TermCourse, ...] = ()
     expression: Expression | None = None
     nearest: tuple[NearEntry, ...] = ()
-    instead: tuple[str, ...] = ()
 
     @property
     def rate_share(self) -> float:
@@ -387,7 +384,6 @@ def _empirical(term: EmpiricalTerm | None, stage: str | None) -> dict[str, Any] 
             {"id": one.id, "share": one.share, "lacks": one.lacks, "adds": one.adds}
             for one in term.nearest
         ],
-        "instead_of": list(term.instead),
     }
     return dict(plain(found))
 

@@ -23,7 +23,7 @@ from gap.selection.config import SELECTION
 from gap.selection.inclusion import excess_chi2
 from gap.selection.search import SearchResult, search_effects
 from gap.selection.timing import channel_with_timing_fault
-from gap.validation.empirical import blocks_with_gap, empirical_term
+from gap.validation.empirical import empirical_term
 from gap.verdict import Status, Verdict
 from plant.effects.catalogue import CATALOGUE
 
@@ -121,15 +121,8 @@ def with_empirical_term(verdict: Verdict, problem: FitProblem, search: SearchRes
     fit = search.best.fit if verdict.status.explained else problem.base
     ids = {s.key: s.id for s in problem.candidates if not s.defect}
     gains = sorted((k for k in search.first_gain if k in ids), key=lambda k: -search.first_gain[k])
-    near = list(dict.fromkeys(ids[k] for k in gains))
-    term = empirical_term(problem, fit, [one for one in near if one not in fit.ids][:_NEAREST])
-    if term is None and fit is not problem.base:
-        # An effect whose form is in doubt may leave nothing; then the gap itself is described,
-        # where it is largest: a smaller one elsewhere is another matter.
-        for block in blocks_with_gap(problem, problem.base)[:1]:
-            term = empirical_term(problem, problem.base, near[:_NEAREST], block)
-            term = term and replace(term, instead=fit.ids)
-    return replace(verdict, empirical=term)
+    near = list(dict.fromkeys(ids[k] for k in gains if ids[k] not in fit.ids))[:_NEAREST]
+    return replace(verdict, empirical=empirical_term(problem, fit, near))
 
 
 def _unfit_plant(data: DataSet, found: list[UnfitPlant]) -> Verdict:

@@ -45,8 +45,8 @@ _KINDS = {
     "valve_flow": "a change in proportion to the valve's flow",
     "inlet_flow": "a change in proportion to the inlet's flow",
     "outlet_flow": "a change in proportion to the outlet's flow",
-    "inlet_edge": "a delay of the inlet",
-    "outlet_edge": "a delay of the outlet",
+    "inlet_edge": "a change of the inlet's flow after a command",
+    "outlet_edge": "a change of the outlet's flow after a command",
 }
 
 
@@ -112,8 +112,7 @@ def _ends(name: str, ends: tuple[float, float]) -> str:
 def _kind(term: EmpiricalTerm) -> str:
     """What the terms are errors of."""
     used = dict.fromkeys(t.scale for t in term.correction.terms)
-    made = " and ".join(_KINDS[scale] for scale in used)
-    return f"{made} in place of {' and '.join(term.instead)}" if term.instead else made
+    return " and ".join(_KINDS[scale] for scale in used)
 
 
 def empirical_figure(term: EmpiricalTerm | None) -> Figure | None:

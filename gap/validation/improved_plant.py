@@ -24,7 +24,7 @@ def improved_plant(
     The simulator (`pamrig simulate --plant`), the live prediction (`--predict`), the virtual bench
     and `bench.toml` read it; with an empirical term only `bench.toml` and the law without time.
     """
-    fit = undamped_step(problem, fit) if empirical is None else _moved(problem, fit, empirical)
+    fit = undamped_step(problem, fit) if empirical is None else _moved(fit, empirical)
     lines = ["# The plant as recalibrated on these data, with the effects that explain the gap."]
     constants = problem.constants(fit.shift)
     usual = nominal()
@@ -74,11 +74,9 @@ def improved_plant(
     return "\n".join(lines) + "\n"
 
 
-def _moved(problem: FitProblem, fit: FitResult, term: EmpiricalTerm) -> FitResult:
+def _moved(fit: FitResult, term: EmpiricalTerm) -> FitResult:
     """The fit with constants and amounts as they were fitted together with the term."""
     n = len(fit.shift)
-    if term.instead:
-        return replace(problem.base, shift=problem.base.shift + term.moved[:n])
     return replace(fit, shift=fit.shift + term.moved[:n], amounts=fit.amounts + term.moved[n:])
 
 
