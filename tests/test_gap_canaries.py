@@ -14,6 +14,8 @@ from gap.data.dataset import DataSet
 from gap.data.reader import read_dataset
 from gap.data.trial import Channel, Trial
 from gap.decision.diagnose import diagnose
+from gap.estimation.fit_problem import FitProblem
+from gap.model.features import BLOCKS
 from gap_bench import write_set
 from plant.arrays import Array
 
@@ -96,6 +98,25 @@ def test_a_slow_gauge_behind_a_tube_is_not_taken_for_a_wrong_clock(nominal: Data
     assert time.low is not None
     assert time.high is not None
     assert time.low < 13.0 < time.high
+
+
+def test_readings_at_the_end_of_a_gauge_count_for_nothing(nominal: DataSet) -> None:
+    """A zero 0.5 kPa low, which its converter shows as zero, moved supply and gain to the ends of
+    their tolerances: benches without any effect got the name of one."""
+
+    def clipped(trial: Trial, channel: Channel) -> Channel:
+        return dataclasses.replace(channel, value=np.maximum(channel.value - 0.488, 0.0))
+
+    def floors(data: DataSet) -> tuple[Array, Array]:
+        rows = FitProblem.of(data).rows
+        pressure, vented = rows.block == BLOCKS.index("pressure"), rows.pressure < 0.2e3
+        return rows.floor[pressure & vented], rows.floor[pressure & (rows.pressure > 10e3)]
+
+    vented, pressurised = floors(changed(nominal, "pressure_kpa", clipped))
+    assert len(vented)
+    assert float(np.median(vented)) > 1.0
+    assert pressurised.max() < 1.0
+    assert floors(nominal)[0].max(initial=0.0) < 1.0
 
 
 @pytest.mark.parametrize(("name", "late_s"), [("force_n", 0.06), ("pressure_kpa", 0.06)])

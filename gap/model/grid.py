@@ -15,13 +15,14 @@ import numpy.typing as npt
 from gap.data.dataset import DataSet
 from gap.data.trial import Channel, Trial
 from gap.model import bins
+from gap.model.clipping import CLIPPED_INPUT_KPA, CLIPPED_KPA, at_lower_end
 from gap.model.features import BLOCKS, Mean, Rows, stacked
 from gap.model.nominal import nominal_law
 from gap.model.signals import Signal, edges_of, moving, smooth_slope
 from gap.model.unobserved_flow import passing, unknown_gas
 from plant.arrays import Array
 from plant.effects.arguments import Points, Whole
-from plant.physics.muscle import braid_force_slope, braid_volume, braid_volume_slope
+from plant.physics.muscle import braid_force, braid_force_slope, braid_volume, braid_volume_slope
 
 MOST_POINTS = 2400
 QUIET_S = 0.02
@@ -211,7 +212,9 @@ def _piece(trial: Trial, signal: Signal, output: Channel, scale: float, data: Da
         signal.direction_at(time_s),
         _stiffness(signal, time_s, data)
         * (signal.length_doubt_at(time_s) + _hidden_swing(signal, time_s, data)),
-        _FORCE_FLOOR_N + _stiffness(signal, time_s, data) * _sync(signal),
+        _FORCE_FLOOR_N
+        + _stiffness(signal, time_s, data) * _sync(signal)
+        + _force_of_clipped(signal, time_s, data),
     ]
     block = 1 if trial.settled else -(-len(time_s) // MOST_POINTS)
     weight = np.full(len(time_s), 1.0)
@@ -245,6 +248,21 @@ def _hidden_swing(signal: Signal, time_s: Array, data: DataSet) -> Array:
 def _sync(signal: Signal) -> float:
     """Least error in m of a moving length between frames."""
     return 0.0 if signal.held or signal.trial.settled else _LENGTH_FLOOR_M
+
+
+def _force_of_clipped(signal: Signal, time_s: Array, data: DataSet) -> Array:
+    """Error in N of the force where the pressure that makes it is clipped, else zero."""
+    channel = signal.trial.get("pressure_kpa")
+    ends = at_lower_end(channel.value)
+    if not ends.any():
+        return np.zeros(len(time_s))
+    share = np.interp(time_s, channel.time_s, ends.astype(np.float64))
+    length, c, law = signal.length_at(time_s), data.constants, nominal_law(data)
+    beyond = np.full(len(time_s), 1e3 * CLIPPED_INPUT_KPA)
+    force = braid_force(beyond, length, c.braid_length_m, c.turns)
+    if law is not None:
+        force = law(beyond, length) - law(np.zeros(len(time_s)), length)
+    return np.where(share > _CLIPPED_SHARE, np.abs(np.nan_to_num(force)), 0.0)
 
 
 def _stiffness(signal: Signal, time_s: Array, data: DataSet) -> Array:
@@ -300,6 +318,8 @@ def _chamber(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> _Piec
     adrift = unknown_gas(share, volume * kpa, passing(trial, t)) * kpa
     doubt = np.hypot(share * kpa, _SHAPE * adrift)
     floor = 0.02 + np.minimum(np.abs(np.gradient(p, t)), 1e7) * _EDGE_FLOOR_S * 1e-3
+    clipped = np.add.reduceat(at_lower_end(channel.value).astype(np.float64), first) / count
+    floor = np.where(clipped > _CLIPPED_SHARE, CLIPPED_KPA, floor)
     return _Piece(
         t, count, p, zero, p, length, signal.rate_at(t), signal.acceleration_at(t),
         signal.held, signal.temperature_at(t), np.nan, p, zero, feed, False, doubt, floor,
@@ -307,6 +327,8 @@ def _chamber(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> _Piec
     )  # fmt: skip
 
 
+_CLIPPED_SHARE = 0.05
+"""Share of readings at the end of the instrument's range from which a mean counts for nothing."""
 _SHAPE = 0.3
 """Part of the doubt about unseen gas that need not be the same throughout a trial."""
 _FIRST_SETTLED = 500_000

@@ -19,6 +19,7 @@ from gap.data.trial import Trial
 from gap.estimation.cross_validation import HeldOut, held_out
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.null_distribution import simulated_residuals
+from gap.model.clipping import CLIPPED_KPA
 from gap.model.features import BLOCKS, UNITS
 from gap.validation.chain import Chain
 from gap.validation.config import VALIDATION
@@ -145,8 +146,9 @@ def _larger_than_noise(
 def _comparisons(problem: FitProblem) -> list[_Comparison]:
     """All comparisons that a data set allows."""
     made: list[_Comparison | None] = []
+    shown = problem.rows.floor < 0.5 * CLIPPED_KPA
     for block in ("force", "load", "pressure"):
-        here = problem.rows.block == BLOCKS.index(block)
+        here = shown & (problem.rows.block == BLOCKS.index(block))
         if here.sum() < 8:
             continue
         for name, first, second in _designs(problem, block):
