@@ -26,6 +26,7 @@ from gap.selection.inclusion import (
     step_statistics,
 )
 from gap.selection.search import SearchResult, search_effects
+from plant.effects.catalogue import CATALOGUE
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,8 @@ def prune(
     clean = search_effects(problem.restricted_to(lambda candidate: not candidate.defect), config)
     worse = clean.best.cost - search.best.cost
     uncertain = first and worse > config.sure_gain + config.defect_worse_share * search.gap
-    if sure and (uncertain or clean.best.fit.ids[:1] != ("pressure_lag",)):
+    families = {CATALOGUE[name].family for name in clean.best.fit.ids[:1]}
+    if sure and (uncertain or families != {"pressure_sensor"}):
         return PruningResult(search, defect=True)
     return PruningResult(
         _needed(problem, _exchanged(problem, clean, config), config), uncertain_defect=uncertain
