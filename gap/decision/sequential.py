@@ -13,7 +13,8 @@ from gap.verdict import Explanation, Status, Verdict
 
 NAMED = (Status.NAMED, Status.NAMED_FORM_INADEQUATE)
 SETTLED = (Status.NAMED, Status.NAMED_FORM_INADEQUATE, Status.DATA_UNFIT)
-UNSETTLED = (Status.INDISTINGUISHABLE, Status.MIMICABLE, Status.UNKNOWN)
+ALIKE = (Status.INDISTINGUISHABLE, Status.MIMICABLE)
+UNSETTLED = (*ALIKE, Status.UNKNOWN)
 """Verdicts that a test which came out as predicted makes a name of."""
 
 
@@ -149,22 +150,22 @@ class SequentialVerdict:
         status = self.verdict.status
         if status in NAMED or self.confirmed is not None:
             return Conclusion.NAMED
-        if status in (Status.INDISTINGUISHABLE, Status.MIMICABLE) and self._between:
+        if status in ALIKE and (len(self.verdict.effects) > 1 or self.apart_by_reference):
             return Conclusion.NEEDS_REFERENCE
         if status == Status.NO_GAP_ABOVE_FLOOR:
             return Conclusion.NEEDS_REFERENCE if self.relieving else Conclusion.NO_GAP
         return Conclusion.OPEN
 
     @property
-    def _between(self) -> tuple[str, ...]:
-        """Entries that no test of the bench can tell apart.
+    def apart_by_reference(self) -> tuple[str, ...]:
+        """Where the diagnosis has one entry left: what only a reference tells it from, and itself.
 
-        Those left, or the only one and the one that, by the diagnosis, a reference tells from it.
+        Empty where a test would do, or more entries are left.
         """
         assert self.verdict is not None
-        if len(self.verdict.effects) > 1:
-            return tuple(dict.fromkeys(n for effect in self.verdict.effects for n in effect.ids))
         advised = self.verdict.next_experiment
+        if self.verdict.status not in ALIKE or len(self.verdict.effects) != 1:
+            return ()
         if advised is None or advised.protocol != "reference":
             return ()
         return tuple(dict.fromkeys(n for one in advised.between for n in one.split("+")))
@@ -178,12 +179,12 @@ class SequentialVerdict:
         proven = self.confirmed is not None
         left = self.of_family if proven else self.verdict.effects
         names = dict.fromkeys(name for effect in left for name in effect.ids)
-        if not proven:
-            names |= dict.fromkeys(self._between)
         if proven and len(names) == 1:
             return {}
-        if not proven and self.verdict.status not in (Status.INDISTINGUISHABLE, Status.MIMICABLE):
-            return {}
+        if not proven:
+            if self.verdict.status not in ALIKE:
+                return {}
+            names |= dict.fromkeys(self.apart_by_reference)
         return {name: reference_for(name) for name in names}
 
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from gap.data.dataset import DataSet
 from gap.data.trial import Channel, Trial
 from gap.model import bins
-from gap.model.clipping import CLIPPED_INPUT_KPA, CLIPPED_KPA, at_lower_end
+from gap.model.clipping import CLIPPED_INPUT_KPA, CLIPPED_KPA
 from gap.model.features import BLOCKS, Mean, Rows, stacked
 from gap.model.nominal import nominal_law
 from gap.model.signals import Signal, edges_of, moving, smooth_slope
@@ -252,11 +252,10 @@ def _sync(signal: Signal) -> float:
 
 def _force_of_clipped(signal: Signal, time_s: Array, data: DataSet) -> Array:
     """Error in N of the force where the pressure that makes it is clipped, else zero."""
-    channel = signal.trial.get("pressure_kpa")
-    ends = at_lower_end(channel.value)
-    if not ends.any():
+    if not signal.clipped.any():
         return np.zeros(len(time_s))
-    share = np.interp(time_s, channel.time_s, ends.astype(np.float64))
+    channel = signal.trial["pressure_kpa"]
+    share = np.interp(time_s, channel.time_s, signal.clipped.astype(np.float64))
     length, c, law = signal.length_at(time_s), data.constants, nominal_law(data)
     beyond = np.full(len(time_s), 1e3 * CLIPPED_INPUT_KPA)
     force = braid_force(beyond, length, c.braid_length_m, c.turns)
@@ -318,7 +317,7 @@ def _chamber(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> _Piec
     adrift = unknown_gas(share, volume * kpa, passing(trial, t)) * kpa
     doubt = np.hypot(share * kpa, _SHAPE * adrift)
     floor = 0.02 + np.minimum(np.abs(np.gradient(p, t)), 1e7) * _EDGE_FLOOR_S * 1e-3
-    clipped = np.add.reduceat(at_lower_end(channel.value).astype(np.float64), first) / count
+    clipped = np.add.reduceat(signal.clipped.astype(np.float64), first) / count
     floor = np.where(clipped > _CLIPPED_SHARE, CLIPPED_KPA, floor)
     return _Piece(
         t, count, p, zero, p, length, signal.rate_at(t), signal.acceleration_at(t),

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
 from gap.data.trial import Channel, Trial
+from gap.model.clipping import at_lower_end
 from plant.arrays import Array
 from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
 
@@ -108,6 +110,11 @@ class Signal:
             time_s, length, rate, acceleration, stops, _doubts(time_s, acceleration),
             _give_of_stops(trial, constants),
         )  # fmt: skip
+
+    @cached_property
+    def clipped(self) -> Mask:
+        """Which readings of the pressure are at the lower end of what the gauge can show."""
+        return at_lower_end(self.trial.get("pressure_kpa").value)
 
     def covered(self, time_s: Array) -> Mask:
         """Where pressure and length are known: inside their records and not in a long gap."""

@@ -215,13 +215,12 @@ def conclusion_text(found: SequentialVerdict) -> str:
             f"{' or '.join(found.relieving)} in its place would fit as well"
         )
     if found.confirmed is None:
-        effects = found.verdict.effects
-        own = effects[0].ids if len(effects) == 1 else tuple(found.references)
-        others = [name for name in found.references if name not in own]
+        apart = found.apart_by_reference
+        others = [name for name in apart if name not in found.verdict.effects[0].ids]
+        said = headline(found.verdict)
         if not others:
-            return headline(found.verdict)
-        apart = f"It takes a reference to tell it from {' or '.join(others)}."
-        return f"{headline(found.verdict)} {apart}"
+            return said
+        return f"{said} It takes a reference to tell it from {' or '.join(others)}."
     protocol, prediction = found.confirmed
     ids = [" + ".join(effect.ids) for effect in found.of_family]
     return sentence(
