@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 import cli.investigate.investigate as loop
+from blind.live import Secret
 from cli.investigate.config import INVESTIGATION
 from cli.investigate.investigate import investigate
 from cli.investigate.survey import Test, battery, protocol_text
@@ -20,7 +21,7 @@ from daq.interrupt import StopFlag
 from daq.store.run import open_run
 from gap.data.run_trials import run_trials
 from gap.reason import Cause, Reason
-from gap.verdict import Experiment, Verdict
+from gap.verdict import Experiment, Status, Verdict
 from plant.effects.catalogue import CATALOGUE
 from rigs.bench.rig import open_rig
 from rigs.execution.session import run_protocol
@@ -28,6 +29,7 @@ from rigs.protocols.registry import procedure
 from rigs.rigfile.config import RigConfig, load_rig
 from rigs.steps.schedule import outline
 from rigs.virtual.bench import VirtualBench
+from rigs.virtual.withheld.bench import WithheldBench, draw
 from withheld_campaign import MIMICKED, RIG, entropy_of, judged, read_journal, seeds_of, totals
 
 
@@ -203,6 +205,17 @@ def test_delays_that_look_alike_are_named_by_their_family_once_steps_elsewhere_a
     assert "confirmed by the step test" in found.why
     assert found.family == "valve_timing"
     assert {"valve_delay", "valve_delay_pressure"} <= set(found.references)
+
+
+@pytest.mark.campaign  # some 40 s: three tests of a bench and two diagnoses
+def test_a_bench_without_an_effect_whose_gauge_ends_at_zero_has_no_gap(tmp_path: Path) -> None:
+    """Its zero is 0.4 kPa below: vented, it reads exactly 0, and looked like another valve."""
+    config = load_rig(RIG, 623)
+    constants = draw(config, entropy=entropy_of(623)).constants
+    bench = WithheldBench(config, Secret((), constants, {}), VirtualClock())
+    found = investigate(config, tmp_path, budget_min=8.5, bench=bench, derive=False)
+    assert len(found.rounds) >= 3
+    assert (found.verdict.status, found.verdict.effects) == (Status.NO_GAP_ABOVE_FLOOR, ())
 
 
 def test_a_second_investigation_has_a_folder_of_its_own(tmp_path: Path) -> None:

@@ -299,8 +299,10 @@ def _by_presence(
     single = len(case.search.best.fit.ids) == 1
     doubtful = not single and case.reliability["unknown"] > config.doubtful_unknown
     of_several = config.present_in_refused if doubtful else config.present_in_several
-    least = config.present if refused or single else of_several
-    sure = tuple(name for name in further.best.fit.ids if odds[name] >= least)
+    usual = config.present if refused or single else of_several
+    sure = tuple(
+        name for name in further.best.fit.ids if odds[name] >= _least(name, odds, usual, config)
+    )
     if refused:
         # The refusal of one effect was learnt on single effects. It says nothing of an explanation
         # of several that leaves a small part of what the one left.
@@ -308,7 +310,9 @@ def _by_presence(
         return (None if single else _partly_refused(wider, finding, sure, odds)) or (case, finding)
     if finding.status in NAMED:
         ids = finding.entries[0][0].fit.ids
-        kept = tuple(name for name in ids if odds.get(name, 0.0) >= of_several)
+        kept = tuple(
+            name for name in ids if odds.get(name, 0.0) >= _least(name, odds, of_several, config)
+        )
         more = tuple(name for name in sure if name not in ids)
         with_more = _partly(wider, finding, (*kept, *more), odds) if more else None
         if with_more is not None:
@@ -331,11 +335,21 @@ def _by_presence(
     return case, finding
 
 
+def _least(name: str, odds: Mapping[str, float], usual: float, config: DecisionConfig) -> float:
+    """Least probability with which an effect is named: less beside two that are there."""
+    others = sum(p >= config.present for other, p in odds.items() if other != name)
+    return config.present_beside_two if others >= _TWO else usual
+
+
+_TWO = 2
+
+
 def _partly_refused(
     case: _Case, finding: _Finding, likely: tuple[str, ...], odds: Mapping[str, float]
 ) -> tuple[_Case, _Finding] | None:
     """What of a refused explanation is named, or offered where it is only likely to be there."""
-    sure = tuple(name for name in likely if odds[name] >= case.config.present_in_refused)
+    least = case.config.present_in_refused
+    sure = tuple(name for name in likely if odds[name] >= _least(name, odds, least, case.config))
     found = _partly(case, finding, sure or likely, odds)
     if found is None or sure:
         return found
