@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 import pytest
 
+from gap.data.reader import read_dataset
+from gap.estimation.fit_problem import FitProblem
 from gap.model.clipping import at_lower_end
+from gap_bench import write_set
 
 STEP_KPA = 0.244
 
@@ -34,3 +40,27 @@ def test_a_reading_without_noise_ends_nowhere() -> None:
     assert not at_lower_end(reading(0.0, 0.0, ends=True)).any()
     assert not at_lower_end(np.repeat([0.0, 100.0, 200.0, 300.0], 100)).any()
     assert not at_lower_end(np.zeros(0)).any()
+
+
+def below_zero(folder: Path, offset_kpa: float, ends: bool) -> FitProblem:
+    """A bench whose gauge reads low, with a converter that ends at zero or goes on below."""
+    write_set(folder, replicates=2)
+    samples = pd.read_parquet(folder / "samples.parquet")
+    read = STEP_KPA * ((samples.pressure_kpa + offset_kpa) / STEP_KPA).round()
+    samples["pressure_kpa"] = read.clip(lower=0.0) if ends else read
+    samples.to_parquet(folder / "samples.parquet", index=False)
+    return FitProblem.of(read_dataset(folder))
+
+
+@pytest.mark.parametrize("offset_kpa", [-1.0, -8.0])
+def test_a_zero_below_the_end_of_a_gauge_is_found_as_if_the_gauge_went_on(
+    offset_kpa: float, tmp_path: Path
+) -> None:
+    """A vented muscle stands at the atmosphere, whatever the zero is and the gauge shows."""
+    found = {}
+    for name, ends in (("ends", True), ("goes on", False)):
+        problem = below_zero(tmp_path / name, offset_kpa, ends)
+        fit = problem.polish(problem.fit_effects(["pressure_zero"]))
+        found[name] = (float(fit.amounts[0]), (fit.cost - len(problem.rows)) / len(problem.rows))
+    assert found["ends"][0] == pytest.approx(offset_kpa, abs=0.3)
+    assert found["ends"][1] < found["goes on"][1] + 0.1

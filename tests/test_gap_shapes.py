@@ -35,6 +35,7 @@ def still(length_mm: np.ndarray, **fields: np.ndarray) -> Points:
         "acceleration": zero, "held": np.zeros(n, dtype=bool), "settled": np.zeros(n, dtype=bool),
         "temperature": np.full(n, 21.0),
         "mass": np.ones(n), "reading": zero, "direction": zero,
+        "clipped": np.zeros(n, dtype=bool),
     }  # fmt: skip
     return Points(**{**given, **fields})
 

@@ -87,7 +87,8 @@ def true_pressure(points: Points, active: Active) -> Array:
         if term.sensors.pressure is not None:
             gain, zero_kpa = term.sensors.pressure(term.amount)
             p = (p - zero_kpa * 1e3) / (1.0 + gain)
-    return p
+    # Where a gauge ends above the pressure of a vented muscle, that is what it cannot show.
+    return np.where(points.clipped, np.minimum(p, 0.0), p) if points.clipped.any() else p
 
 
 def muscle_force(points: Points, active: Active, context: Context) -> Array:

@@ -8,6 +8,7 @@ edges and at means over 20 ms elsewhere. No channel is filtered more than anothe
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +25,7 @@ from plant.arrays import Array
 from plant.effects.arguments import Points, Whole
 from plant.physics.muscle import braid_force, braid_force_slope, braid_volume, braid_volume_slope
 
+Mask = npt.NDArray[np.bool_]
 MOST_POINTS = 2400
 QUIET_S = 0.02
 # What no replicate shows because all share it: interpolation, integration, edges in time.
@@ -139,6 +141,7 @@ class _Piece:
     settled: bool
     doubt: Array
     floor: Array
+    clipped: Mask
     trial: int = 0
     bin: Whole | None = None
     adrift: Array | None = None
@@ -186,7 +189,7 @@ def _kept(piece: _Piece, keep: npt.NDArray[np.bool_]) -> _Piece:
 
 _ARRAYS = (
     "time_s", "weight", "pressure", "pressure_slope", "path", "length", "rate", "acceleration",
-    "temperature", "reading", "direction", "doubt", "floor",
+    "temperature", "reading", "direction", "doubt", "floor", "clipped",
 )  # fmt: skip
 
 
@@ -215,6 +218,7 @@ def _piece(trial: Trial, signal: Signal, output: Channel, scale: float, data: Da
         _FORCE_FLOOR_N
         + _stiffness(signal, time_s, data) * _sync(signal)
         + _force_of_clipped(signal, time_s, data),
+        signal.clipped_at(time_s),
     ]
     block = 1 if trial.settled else -(-len(time_s) // MOST_POINTS)
     weight = np.full(len(time_s), 1.0)
@@ -223,12 +227,13 @@ def _piece(trial: Trial, signal: Signal, output: Channel, scale: float, data: Da
         count = np.diff(np.r_[starts, len(time_s)]).astype(np.float64)
         columns = [np.add.reduceat(column, starts) / count for column in columns]
         weight = count
-    t, p, slope, path, length, rate, acceleration, temperature, reading, direction, doubt, floor = (
-        columns
-    )
+    (
+        t, p, slope, path, length, rate, acceleration, temperature, reading, direction, doubt,
+        floor, clipped,
+    ) = columns  # fmt: skip
     return _Piece(
         t, weight, p, slope, path, length, rate, acceleration, signal.held, temperature, np.nan,
-        reading, direction, np.empty(0), trial.settled, doubt, floor,
+        reading, direction, np.empty(0), trial.settled, doubt, floor, clipped > _CLIPPED_SHARE,
     )  # fmt: skip
 
 
@@ -254,8 +259,7 @@ def _force_of_clipped(signal: Signal, time_s: Array, data: DataSet) -> Array:
     """Error in N of the force where the pressure that makes it is clipped, else zero."""
     if not signal.clipped.any():
         return np.zeros(len(time_s))
-    channel = signal.trial["pressure_kpa"]
-    share = np.interp(time_s, channel.time_s, signal.clipped.astype(np.float64))
+    share = signal.clipped_at(time_s)
     length, c, law = signal.length_at(time_s), data.constants, nominal_law(data)
     beyond = np.full(len(time_s), 1e3 * CLIPPED_INPUT_KPA)
     force = braid_force(beyond, length, c.braid_length_m, c.turns)
@@ -322,7 +326,7 @@ def _chamber(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> _Piec
     return _Piece(
         t, count, p, zero, p, length, signal.rate_at(t), signal.acceleration_at(t),
         signal.held, signal.temperature_at(t), np.nan, p, zero, feed, False, doubt, floor,
-        adrift=adrift,
+        clipped > _CLIPPED_SHARE, adrift=adrift,
     )  # fmt: skip
 
 
@@ -378,9 +382,7 @@ def _assign(
 
 def _joined(pieces: list[_Piece], number: int, mountings: Whole) -> tuple[Points, Rows]:
     """All pieces of a block as one set of points, with its rows."""
-    columns: dict[str, list[Array]] = {
-        name: [] for name in _ARRAYS if name not in ("doubt", "floor")
-    }
+    columns: dict[str, list[Any]] = {name: [] for name in _ARRAYS if name not in ("doubt", "floor")}
     row: list[Whole] = []
     sizes = np.zeros(len(mountings), dtype=np.int64)
     held: list[Array] = []

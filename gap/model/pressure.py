@@ -207,13 +207,16 @@ def _trial(
 ) -> None:  # fmt: skip
     """Predict the reading at every node of one trial into `out`.
 
-    `due` to `s` are scratch; `step` and `acting` are left alone where the reading is followed.
+    A reading that is NaN draws nothing: nothing is known there. `due` to `s` are scratch; `step`
+    and `acting` are left alone where the reading is followed.
     """
     waiting[:] = 0
     opened[:] = False
     command[:] = 0.0
     s[:] = 0.0
-    true = (reading[0] - q[stage.ZERO]) / (1.0 + q[stage.GAIN])
+    true = 0.0  # vented, where the gauge is at its lower end
+    if not math.isnan(reading[0]):
+        true = (reading[0] - q[stage.ZERO]) / (1.0 + q[stage.GAIN])
     s[0] = max(true, -0.9 * q[layout.ATMOSPHERE])
     s[1] = s[0]
     s[2] = s[0]
@@ -224,6 +227,8 @@ def _trial(
     now = time[0]
     acts = now - 1.0
     out[0] = reading[0]
+    if math.isnan(reading[0]):
+        out[0] = true * (1.0 + q[stage.GAIN]) + q[stage.ZERO]
     # Commands from before the first reading have long acted.
     while edge < len(edge_s) and edge_s[edge] + q[stage.CLOCK] <= now - 0.05:
         command[edge_of[edge]] = edge_to[edge]
@@ -302,7 +307,7 @@ def _trial(
                 s[1] = max(s[1] + pull, -0.95 * q[layout.ATMOSPHERE])
                 s[2] += pull
                 s[5] += pull
-        elif q[stage.FOLLOW] > 0.0:
+        elif q[stage.FOLLOW] > 0.0 and not math.isnan(reading[i]):
             # Samples are evenly spaced over long stretches.
             if end - begin != paced:
                 paced = end - begin

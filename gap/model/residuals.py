@@ -211,6 +211,8 @@ class Model:
         for term in terms(active):
             if term.diagnosis.pressure_shown is not None:
                 out = term.diagnosis.pressure_shown(out, points, term.amount)
+        if points.clipped.any():  # what is below the end of the gauge reads as that end
+            out = np.where(points.clipped, np.maximum(out, points.reading), out)
         return np.asarray(np.clip(points.reading - out, -3e6, 3e6))
 
     def _built_in_pressure(
@@ -227,7 +229,7 @@ class Model:
         supply = grid.supply
         out = np.empty(len(points.reading))
         fall = np.zeros(1)
-        reading = np.ascontiguousarray(points.reading)
+        reading = np.ascontiguousarray(points.known_reading)
         chamber.predict(
             q, points.first, points.time_s, reading, length, supply, grid.first_edge,
             grid.edge_s, grid.edge_to, grid.edge_of, out, fall,

@@ -116,6 +116,13 @@ class Signal:
         """Which readings of the pressure are at the lower end of what the gauge can show."""
         return at_lower_end(self.trial.get("pressure_kpa").value)
 
+    def clipped_at(self, time_s: Array) -> Array:
+        """Share of the readings at and about each instant that are clipped."""
+        if not self.clipped.any():
+            return np.zeros(len(time_s))
+        at = self.trial["pressure_kpa"].time_s
+        return np.interp(time_s, at, self.clipped.astype(np.float64))
+
     def covered(self, time_s: Array) -> Mask:
         """Where pressure and length are known: inside their records and not in a long gap."""
         if self.trial.settled:

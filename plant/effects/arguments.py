@@ -37,6 +37,8 @@ class Points:
         held: whether the length is the one written down, not one that was read.
         settled: whether the trial is a table of settled points, whose `time_s` counts its rows.
         reading: measured output: force in N, pressure in Pa or length in m.
+        clipped: whether the pressure stands at the lower end of what its gauge can show: no more is
+            known of it than that it is not above.
     """
 
     first: Whole
@@ -57,6 +59,12 @@ class Points:
     mass: Floats
     reading: Floats
     direction: Floats
+    clipped: npt.NDArray[np.bool_]
+
+    @cached_property
+    def known_reading(self) -> Floats:
+        """The reading of the pressure, NaN where it is clipped."""
+        return np.where(self.clipped, np.nan, self.reading)
 
     @cached_property
     def row_weight(self) -> Floats:
