@@ -20,6 +20,7 @@ from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.fitness import UnfitPlant, beyond_braid, doubts, doubts_left
 from gap.reason import Cause, Reason, reason
 from gap.selection.config import SELECTION
+from gap.selection.further import with_further
 from gap.selection.inclusion import excess_chi2
 from gap.selection.search import SearchResult, search_effects
 from gap.selection.timing import channel_with_timing_fault
@@ -85,12 +86,16 @@ def verdict_by_catalogue(
         if timing_fault is not None:
             return _unfit([Unfit(timing_fault.channel, timing_fault.defect)]), None, None
     found = search_effects(problem)
+    if doubtful:
+        # Several large effects do this as well as another muscle: all of them must be in.
+        found = with_further(problem, found)
     stage("confounders, stages and the next experiment")
     # Of a plant in doubt only effects that are sure by themselves are named.
-    config = replace(DECISION, present_in_several=DECISION.present) if doubtful else DECISION
+    sure = DECISION.present
+    careful = replace(DECISION, present_in_several=sure, present_beside_two=sure)
+    config = careful if doubtful else DECISION
     verdict, search = classify(problem, found, config)
     if doubtful:
-        # Several large effects do this as well as another muscle.
         left = doubts_left(problem, found.best.fit, found.gap, found.left)
         if left or not _is_sure(verdict):
             return _unfit_plant(data, left or doubtful), None, None
