@@ -60,6 +60,10 @@ class Cause(StrEnum):
         "{names} are there ({percent:.0f} %), whatever else acts: they explain {share:.0f} % of "
         "the gap, and what explains the rest is not known"
     )
+    PARTLY_OPEN = (
+        "{names} ({percent:.0f} %), whatever else acts; with {open}, whose amount these data leave "
+        "open, {share:.0f} % of the gap is explained"
+    )
     SURE_BESIDE = "{sure} in any case; {rest}"
     UNDETERMINED = (
         "a gap that {names} would fit, but with an amount that these data leave open over its "
@@ -83,7 +87,7 @@ class Cause(StrEnum):
     EXPLAINED = "{names} explains the gap"
 
 
-PARTS = (Cause.PARTLY, Cause.PARTLY_SEVERAL)
+PARTS = (Cause.PARTLY, Cause.PARTLY_SEVERAL, Cause.PARTLY_OPEN)
 """Causes of a verdict that names some effects and leaves the rest of the gap unknown."""
 
 

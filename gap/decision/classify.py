@@ -261,7 +261,7 @@ def _explained(case: _Case) -> _Finding:
             unknown=max(found.unknown, config.drift_unknown),
             reason=reason(Cause.DRIFT_LEFT, names=names, name=drift.name, z=drift.z),
         )
-    entries = [entry for entry in credible_set(found, config) if _determined(case, entry[0].fit)]
+    entries = [e for e in credible_set(found, config) if not _undetermined(case, e[0].fit)]
     if not entries:
         return replace(
             finding,
@@ -370,7 +370,8 @@ def _partly(
 ) -> tuple[_Case, _Finding] | None:
     """Some effects named, all others taken out, and the rest of the gap left unknown.
 
-    None where nothing is named, or where the data do not determine it.
+    An effect whose amount the data do not determine is not named; the others are, and are fitted
+    beside it. None where nothing is left to name.
     """
     if not named:
         return None
@@ -378,13 +379,16 @@ def _partly(
     if len(named) < len(search.best.fit.ids):
         search = only_effects(case.problem, search, named)
     part = replace(case, search=search)
-    if not _determined(part, search.best.fit):
+    undetermined = _undetermined(part, search.best.fit)
+    named = tuple(name for name in named if name not in undetermined)
+    if not named:
         return None
     probability = float(np.prod([odds[name] for name in named]))
     several = Cause.PARTLY_SEVERAL if len(named) > 1 else Cause.PARTLY
     why = reason(
-        several, names=" and ".join(named), percent=100 * probability, share=100 * part.share
-    )
+        Cause.PARTLY_OPEN if undetermined else several, names=" and ".join(named),
+        percent=100 * probability, share=100 * part.share, open=" and ".join(undetermined),
+    )  # fmt: skip
     return part, replace(
         finding,
         status=Status.NAMED_FORM_INADEQUATE,
@@ -397,8 +401,8 @@ def _partly(
     )
 
 
-def _determined(case: _Case, fit: FitResult) -> bool:
-    """Whether the data determine the amounts of an entry.
+def _undetermined(case: _Case, fit: FitResult) -> tuple[str, ...]:
+    """Effects of an entry whose amounts the data do not determine.
 
     They do not where an interval holds the whole range of the catalogue, and no effect with it; nor
     where an amount stands at the end of its range, unless the entry explains the gap nonetheless.
@@ -406,6 +410,7 @@ def _determined(case: _Case, fit: FitResult) -> bool:
     problem, config = case.problem, case.config
     estimates = headline_estimates(problem, fit, shipped_reliability().form)
     explains = fit is case.search.best.fit and case.share >= config.form_share
+    made = []
     for name in fit.ids:
         entry = CATALOGUE[name]
         if entry.headline is None:
@@ -416,14 +421,13 @@ def _determined(case: _Case, fit: FitResult) -> bool:
             continue
         low, high = entry.parameters[0].low, entry.parameters[0].high
         neutral = entry.neutral_in(problem.data.constants)
-        if estimate.low < min(low, neutral) and estimate.high > high:
-            return False
+        everywhere = estimate.low < min(low, neutral) and estimate.high > high
         near = config.end_of_range * (high - low)
         ends = [end for end in (low, high) if end != neutral]
         at_end = min(abs(float(estimate.value) - end) for end in ends) < near
-        if at_end and not explains:
-            return False
-    return True
+        if everywhere or (at_end and not explains):
+            made.append(name)
+    return tuple(made)
 
 
 def _confounders(case: _Case) -> tuple[Confounder | None, Confounder | None]:
