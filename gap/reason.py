@@ -87,7 +87,7 @@ class Cause(StrEnum):
     EXPLAINED = "{names} explains the gap"
 
 
-PARTS = (Cause.PARTLY, Cause.PARTLY_SEVERAL, Cause.PARTLY_OPEN)
+PARTS = (Cause.PARTLY, Cause.PARTLY_SEVERAL)
 """Causes of a verdict that names some effects and leaves the rest of the gap unknown."""
 
 

@@ -21,12 +21,12 @@ from gap.check.empirical import line_of, totals
 from gap.check.scoring.inputs import TRUE_INPUTS, inputs_right
 from gap.data.reader import read_dataset
 from gap.errors import GapError
-from gap.estimation.cross_validation import held_out
+from gap.estimation.cross_validation import HeldOut, held_out
 from gap.estimation.fit_problem import FitProblem
 from gap.reason import Cause, Reason
 from gap.reporting.empirical import empirical_figure, empirical_lines
 from gap.validation.config import VALIDATION
-from gap.validation.empirical import empirical_term, search_of
+from gap.validation.empirical import _closes, empirical_term, search_of
 from gap.validation.improved_plant import improved_plant
 from gap.verdict import EmpiricalTerm, Status, Verdict
 from gap_bench import write_set
@@ -301,12 +301,34 @@ def test_a_set_without_a_term_counts_against_both_figures() -> None:
         "measured": {"members": [{"gap_over_floor": 2.2}]},
     }  # fmt: skip
     term = {"inputs": [{"input": "history", "share": 1.0}], "closed": 0.7, "channel": "force"}
+    inadequate = "named_form_inadequate"
     lines = [
         line_of(1, truth, {"status": "unknown", "empirical": None}),
         line_of(2, truth, {"status": "unknown", "empirical": term}),
         line_of(3, truth, {"status": "named", "empirical": None}),
+        # Named, and the effects leave 1 floor: nothing for a term to close.
+        line_of(4, truth, {"status": inadequate, "gap": {"after": 0.3, "floor": 0.2}}),
     ]
+    assert lines[3]["left"] == pytest.approx(1.118, abs=1e-3)
     assert totals(lines) == {"sets": 2, "terms": 1, "half_closed": 1, "inputs_right": 1}
+
+
+def held(before: list[float], after: list[float]) -> HeldOut:
+    """Squared errors on slots left out, above a floor of 1 each."""
+    base, rest, one = (np.array(x) for x in (before, after, [1.0] * len(before)))
+    return HeldOut(base, base, rest, one, one)
+
+
+def test_a_gap_in_one_slot_is_closed_where_the_term_foretold_it() -> None:
+    """Delay of an outlet: one slot of four holds all of the gap, and the jackknife says nothing."""
+    one_slot = held([47.0, 96.0, 32.0, 1e6], [42.0, 50.0, 26.0, 2e4])
+    found = one_slot.closed()
+    assert found is not None
+    assert found[1] < 0.0
+    assert _closes(one_slot, VALIDATION)
+    assert not _closes(held([47.0, 96.0, 32.0, 1e6], [42.0, 50.0, 26.0, 2e5]), VALIDATION)
+    two_slots = held([47.0, 1.0, 1e5, 7e5], [42.0, 300.0, 7.5e4, 1e3])
+    assert not _closes(two_slots, VALIDATION)  # of one large slot it closes a quarter
 
 
 def test_a_leak_without_a_name_is_found_by_the_pressure_that_drives_it(tmp_path: Path) -> None:

@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import gap.decision.classify as decision
 from blind.exchange import write
 from blind.recording import record
 from blind.sets import SEVERAL, blind_set
 from gap.check.presence import cases, fit
 from gap.data.from_runs import open_data
 from gap.data.reader import read_dataset
-from gap.decision.classify import _by_presence, _Case, _Finding
+from gap.decision.classify import _by_presence, _Case, _Finding, _least
 from gap.decision.config import DECISION
 from gap.decision.presence import (
     FEATURES,
@@ -35,6 +36,7 @@ from gap.selection.search import SearchResult, search_effects
 from gap.verdict import Explanation, Status, Verdict
 from gap_bench import write_set
 
+TWO_MORE = ("wear", "creep")
 TWO = {"bladder_elasticity": {"stiffness_n_mm": 0.8}, "leak": {"conductance_m3_s_pa": 2e-13}}
 
 
@@ -107,6 +109,31 @@ def test_the_likelier_something_outside_the_catalogue_the_surer_an_effect_must_b
     found = _by_presence(doubted, whole, two.search, dict(zip(TWO, (0.88, 0.85), strict=True)))[1]
     assert found.sure == (two.search.best.fit.ids if named else ())
     assert found.status is (Status.NAMED if named else Status.INDISTINGUISHABLE)
+
+
+@pytest.mark.parametrize(
+    ("others", "usual", "least"),
+    [((0.95, 0.92), 0.8, 0.75), ((0.95, 0.92), 0.94, 0.75), ((0.95, 0.85), 0.8, 0.8)],
+)
+def test_beside_two_effects_that_are_sure_a_third_is_named_sooner(
+    others: tuple[float, float], usual: float, least: float
+) -> None:
+    odds = {"leak": 0.76, **dict(zip(TWO_MORE, others, strict=True))}
+    assert _least("leak", odds, usual, DECISION) == least
+
+
+def test_an_effect_whose_amount_is_open_does_not_take_the_name_of_the_one_beside_it(
+    two: _Case, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A delay of 8 floors whose interval held its whole range left three others without a name."""
+    monkeypatch.setattr(decision, "_undetermined", lambda case, fit: ("leak",))
+    found = _by_presence(two, refused(two), two.search, dict.fromkeys(TWO, 0.95))[1]
+    assert found.sure == ("bladder_elasticity",)
+    assert set(found.entries[0][0].fit.ids) == set(TWO)
+    assert "with leak, whose amount these data leave open" in str(found.reason)
+    monkeypatch.setattr(decision, "_undetermined", lambda case, fit: fit.ids)
+    found = _by_presence(two, refused(two), two.search, dict.fromkeys(TWO, 0.95))[1]
+    assert (found.status, found.sure) == (Status.UNKNOWN, ())
 
 
 def test_effects_on_which_all_entries_agree_are_sure(two: _Case) -> None:
@@ -201,6 +228,9 @@ def test_the_headline_says_that_a_part_is_not_known() -> None:
     said = headline(verdict)
     assert "95 % sure" in said
     assert "the rest of the gap is not known" in said
+    values = {"names": "wear", "percent": 95.0, "share": 99.0, "open": "leak"}
+    beside = replace(verdict, reason=reason(Cause.PARTLY_OPEN, **values))
+    assert headline(beside).startswith("Wear (95 %), whatever else acts; with leak, whose amount")
 
 
 def test_an_effect_is_the_likelier_the_less_another_can_stand_for_it() -> None:

@@ -3,15 +3,17 @@
     python -m gap.check.empirical --sets 9030-9089 --out out/empirical.jsonl
 
 Of sets with an effect of two floors or more that the diagnosis calls unknown, or whose form it
-calls inadequate: the share in which a term closes half of the gap or more on slots held out, and
-the share in which its inputs are those of the hidden effects (`gap.check.scoring.inputs`). A set
-without a term counts against both. One line a set goes to the file; finished sets are not repeated.
+calls inadequate while the named effects leave two floors or more: the share in which a term closes
+half of the gap or more on slots held out, and the share in which its inputs are those of the hidden
+effects (`gap.check.scoring.inputs`). A set without a term counts against both. One line a set goes
+to the file; finished sets are not repeated.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -45,6 +47,7 @@ def line_of(number: int, truth: Mapping[str, Any], verdict: Mapping[str, Any]) -
     """The judgement of one set from its answer and its verdict, as plain values."""
     ids = tuple(effect["id"] for effect in truth["effects"])
     term = verdict.get("empirical")
+    left = left_of(verdict)
     shares = {one["input"]: one["share"] for one in term["inputs"]} if term else {}
     return {
         "stream": "practice",
@@ -53,12 +56,23 @@ def line_of(number: int, truth: Mapping[str, Any], verdict: Mapping[str, Any]) -
         "effects": ids,
         "size": size_of(truth),
         "status": verdict["status"],
-        "counts": verdict["status"] in STATUSES and size_of(truth) >= _LEAST_SIZE,
+        "left": left,
+        "counts": verdict["status"] in STATUSES
+        and min(size_of(truth), size_of(truth) if left is None else left) >= _LEAST_SIZE,
         "channel": term["channel"] if term else None,
         "closed": term["closed"] if term else None,
         "shares": shares,
         "inputs_right": term is not None and inputs_right(ids, shares),
     }
+
+
+def left_of(verdict: Mapping[str, Any]) -> float | None:
+    """What named effects leave of the gap, in floors; None where nothing is named."""
+    gap = verdict.get("gap") or {}
+    after, floor = gap.get("after"), gap.get("floor")
+    if verdict["status"] != "named_form_inadequate" or after is None or not floor:
+        return None
+    return math.sqrt(max(float(after) ** 2 - float(floor) ** 2, 0.0)) / float(floor)
 
 
 def totals(lines: Sequence[Mapping[str, Any]]) -> dict[str, int]:

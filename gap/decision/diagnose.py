@@ -115,12 +115,8 @@ _NEAREST = 3
 
 
 def with_empirical_term(verdict: Verdict, problem: FitProblem, search: SearchResult) -> Verdict:
-    """The verdict with what the gap looks like that it has no name, or no adequate form, for.
-
-    What may be a fault of the recording is no part of a plant.
-    """
-    described = (Status.UNKNOWN, Status.NAMED_FORM_INADEQUATE)
-    if verdict.status not in described or verdict.reason.cause is Cause.UNCERTAIN_DEFECT:
+    """The verdict with what the gap looks like that it has no name, or no adequate form, for."""
+    if verdict.status not in (Status.UNKNOWN, Status.NAMED_FORM_INADEQUATE):
         return verdict
     stage("what the gap looks like")
     fit = search.best.fit if verdict.status.explained else problem.base

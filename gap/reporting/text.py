@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from gap.decision.sequential import SequentialVerdict
 from gap.design.config import DESIGN
-from gap.reason import PARTS
+from gap.reason import PARTS, Cause
 from gap.verdict import Estimate, Experiment, Explanation, Status, Verdict
 from plant.effects.catalogue import CATALOGUE
 
@@ -48,6 +48,8 @@ def headline(verdict: Verdict) -> str:
     match verdict.status:
         case "named":
             return sentence(f"It is {what}{_in_brackets(values)}{closed}")
+        case "named_form_inadequate" if verdict.reason.cause is Cause.PARTLY_OPEN:
+            return sentence(str(verdict.reason))
         case "named_form_inadequate" if verdict.reason.cause in PARTS:
             share = f", {100 * best.probability:.0f} % sure{closed}"
             return sentence(

@@ -49,6 +49,11 @@ class ValidationConfig:
     """Share of the gap above the floor that it must close. Set on: not tuned."""
     alike_share: float = 0.15
     """Share of a step's gain that a simpler term may give away. Set on: practice sets 9000-9029."""
+    large_slot: float = 0.1
+    """Share of the gap from which a slot holds a large part of it. A matter of definition."""
+    foretold_share: float = 0.9
+    """Share of the gap above which a term closes it where the jackknife over slots says nothing:
+    of each slot that holds a large part it must close half. Set on: practice set 43115."""
     term_sd: float = 5.0
     """Prior of a term's coefficients, in rms of the residual: all but free."""
     term_bend: float = 0.5
