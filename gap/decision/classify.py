@@ -327,6 +327,9 @@ def _by_presence(
             return case, replace(finding, status=Status.INDISTINGUISHABLE, reason=why)
         return case, replace(finding, sure=ids)
     if finding.status is Status.INDISTINGUISHABLE and not single:
+        if len(finding.entries) == 1 and set(sure) > set(case.search.best.fit.ids):
+            # What was not reliable is not the whole: with further effects all are sure.
+            return _partly(wider, finding, sure, odds) or (case, finding)
         agreed = [n for n in sure if all(n in h.fit.ids for h, _ in finding.entries)]
         if agreed:
             names = " and ".join(agreed)
