@@ -13,12 +13,12 @@ from typer.testing import CliRunner
 
 from blind.exchange import write
 from blind.recording import record
-from blind.sets import blind_set
+from blind.sets import SEVERAL, blind_set
 from cli.main import app
 from gap.data.dataset import DataSet
 from gap.data.from_runs import open_data
 from gap.data.reader import read_dataset
-from gap.decision.diagnose import diagnose, diagnose_with_fit
+from gap.decision.diagnose import diagnose, diagnose_with_fit, verdict_by_catalogue
 from gap.estimation.cross_validation import held_out
 from gap.estimation.fit_problem import FitProblem
 from gap.estimation.fitness import beyond_braid, doubts, doubts_left
@@ -180,6 +180,17 @@ def test_a_trace_of_a_second_effect_does_not_make_another_muscle_of_a_large_one(
     write(record(blind_set("practice", 10056)), tmp_path / "delay")
     verdict = diagnose(read_dataset(tmp_path / "delay"))
     assert "transport_delay" in verdict.sure
+
+
+@pytest.mark.slow
+def test_five_effects_at_once_are_not_another_muscle(tmp_path: Path) -> None:
+    """The first two leave an eighth of the gap; with the other three beside them nothing is off."""
+    write(record(blind_set(SEVERAL, 1018)), tmp_path / "five")
+    verdict = verdict_by_catalogue(read_dataset(tmp_path / "five"))[0]
+    assert verdict.status is Status.NAMED_FORM_INADEQUATE
+    assert {"braid_friction", "fibre_stretch"} <= set(verdict.sure)
+    hidden = {"braid_friction", "fibre_stretch", "force_gain", "critical_ratio", "viscosity"}
+    assert set(verdict.sure) <= hidden
 
 
 def test_gains_in_the_place_of_another_muscle_leave_it_refused(folder: Path) -> None:
