@@ -10,8 +10,10 @@ import pytest
 
 from gap.data.reader import read_dataset
 from gap.estimation.fit_problem import FitProblem
+from gap.model import force as laws
 from gap.model.clipping import at_lower_end
 from gap_bench import write_set
+from test_gap_shapes import still
 
 STEP_KPA = 0.244
 
@@ -40,6 +42,18 @@ def test_a_reading_without_noise_ends_nowhere() -> None:
     assert not at_lower_end(reading(0.0, 0.0, ends=True)).any()
     assert not at_lower_end(np.repeat([0.0, 100.0, 200.0, 300.0], 100)).any()
     assert not at_lower_end(np.zeros(0)).any()
+
+
+def test_what_a_gauge_cannot_show_is_the_pressure_of_the_atmosphere() -> None:
+    """With a zero of -8 kPa, 0 at the lower end is not 8 kPa; 2 kPa above it is 10."""
+    clipped = np.array([True, False, False])
+    points = still(np.full(3, 60.0), pressure=np.array([0.0, 2e3, 3e5]), clipped=clipped)
+    low = [("pressure_zero", "", -8.0, {})]
+    assert laws.true_pressure(points, low).tolist() == [0.0, 10e3, 308e3]
+    assert laws.true_pressure(points, []).tolist() == [0.0, 2e3, 3e5]
+    high = [("pressure_zero", "", 2.0, {})]
+    assert laws.true_pressure(points, high)[0] == -2e3  # it shows more than is there
+    assert np.array_equal(np.isnan(points.known_reading), clipped)
 
 
 def below_zero(folder: Path, offset_kpa: float, ends: bool) -> FitProblem:
