@@ -64,8 +64,8 @@ class DecisionConfig:
     present_beside_two: float = 0.75
     """The same of any explanation that is not refused, where two others have `present` or more: a
     bench with two effects that are sure is one with many, and a third is likelier there. More
-    effects found at once. Set on: sets 956 to 1023 of the stream `several` (182 of 265 named
-    instead of 161, 7 wrong instead of 5) and pairs 52000 to 52479 of the held-out forms (21 sets
+    effects found at once. Set on: sets 956 to 1023 of the stream `several` (179 of 265 named
+    instead of 161, 6 wrong instead of 5) and pairs 52000 to 52479 of the held-out forms (21 sets
     with a wrong name instead of 20; beside one sure effect it would be 29)."""
     doubtful_unknown: float = 0.3
     """Probability of an effect outside the catalogue from which the effects of an explanation of
