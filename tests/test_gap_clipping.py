@@ -38,6 +38,11 @@ def test_a_gauge_that_reads_below_its_zero_ends_nowhere(zero_kpa: float) -> None
     assert not at_lower_end(reading(zero_kpa, 0.2, ends=False)).any()
 
 
+def test_a_pressure_that_was_held_is_no_end_of_a_gauge() -> None:
+    """A cylinder held at 1 bar: its lowest readings were taken for those of a vented muscle."""
+    assert not at_lower_end(reading(-0.45, 0.2, ends=True) + 70.0).any()
+
+
 def test_a_reading_without_noise_ends_nowhere() -> None:
     assert not at_lower_end(reading(0.0, 0.0, ends=True)).any()
     assert not at_lower_end(np.repeat([0.0, 100.0, 200.0, 300.0], 100)).any()

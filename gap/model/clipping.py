@@ -28,17 +28,19 @@ _FLICKERS = 0.6
 """Most pairs of neighbours far above that are equal: else there is no noise to miss below. No other
 value was tried."""
 _LEAST_COUNT = 20
+_VENTED_KPA = 5.0
+"""Most that a vented muscle reads: a lowest reading above is a pressure that was held."""
 
 
 def at_lower_end(values: Array) -> Mask:
-    """Which readings of a channel, shape (n,), are at the lower end of what it can show.
+    """Which readings of a pressure in kPa, shape (n,), are at the lower end of what it can show.
 
-    None where its noise does not stop there.
+    None where its noise does not stop there, nor where the muscle was never vented.
     """
     nowhere = np.zeros(len(values), dtype=bool)
     low = float(values.min(initial=np.inf))
     codes = np.unique(values)
-    if len(codes) < 3:
+    if len(codes) < 3 or low > _VENTED_KPA:
         return nowhere
     step = float(np.diff(codes[:9]).min())
     near, far = values < low + _NEAR * step, values > low + _FAR * step
