@@ -160,11 +160,14 @@ def test_rows_are_counted_where_they_do_not_appear_themselves(terminal: Terminal
 
 @pytest.mark.parametrize("stages", [0, 1])
 def test_ctrl_c_that_a_library_swallowed_counts_at_the_next_stage_or_at_the_end(
-    terminal: Terminal, stages: int
+    terminal: Terminal, stages: int, request: pytest.FixtureRequest
 ) -> None:
     """A report went on, with status 0, when it was pressed in the middle of an import."""
     del terminal
     reached: list[str] = []
+    # A shell starts what runs in the background with SIGINT ignored.
+    started_with = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, started_with))
     before = signal.getsignal(signal.SIGINT)
 
     def command() -> None:
