@@ -61,8 +61,8 @@ class Cause(StrEnum):
         "the gap, and what explains the rest is not known"
     )
     PARTLY_OPEN = (
-        "{names} ({percent:.0f} %), whatever else acts; with {open}, which these data do not "
-        "establish, {share:.0f} % of the gap is explained"
+        "{names} ({percent:.0f} %), whatever else acts; with {open}, whose amount these data leave "
+        "open, {share:.0f} % of the gap is explained"
     )
     SURE_BESIDE = "{sure} in any case; {rest}"
     UNDETERMINED = (

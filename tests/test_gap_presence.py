@@ -35,7 +35,6 @@ from gap.selection.inclusion import StepStatistics, excess_chi2
 from gap.selection.search import SearchResult, search_effects
 from gap.verdict import Explanation, Status, Verdict
 from gap_bench import write_set
-from plant.effects.catalogue import CATALOGUE
 
 TWO_MORE = ("wear", "creep")
 TWO = {"bladder_elasticity": {"stiffness_n_mm": 0.8}, "leak": {"conductance_m3_s_pa": 2e-13}}
@@ -131,25 +130,10 @@ def test_an_effect_whose_amount_is_open_does_not_take_the_name_of_the_one_beside
     found = _by_presence(two, refused(two), two.search, dict.fromkeys(TWO, 0.95))[1]
     assert found.sure == ("bladder_elasticity",)
     assert set(found.entries[0][0].fit.ids) == set(TWO)
-    assert "with leak, which these data do not establish" in str(found.reason)
+    assert "with leak, whose amount these data leave open" in str(found.reason)
     monkeypatch.setattr(decision, "_undetermined", lambda case, fit: fit.ids)
     found = _by_presence(two, refused(two), two.search, dict.fromkeys(TWO, 0.95))[1]
     assert (found.status, found.sure) == (Status.UNKNOWN, ())
-
-
-def test_of_two_effects_of_one_family_only_the_surer_one_is_named(two: _Case) -> None:
-    """A scale beside a distortion of the same camera corrects its form."""
-    fit = two.search.best.fit
-    flow = next(c for c in two.problem.candidates if c.id == "flow_area")
-    more = two.problem.at(fit.shift, [*fit.candidates, flow], np.array([*fit.amounts, 0.02]), fit)
-    search = replace(two.search, best=Hypothesis((*two.search.best.keys, flow.key), more))
-    case = replace(two, search=search)
-    whole = replace(refused(case), status=Status.NAMED)
-    odds = {"bladder_elasticity": 0.98, "leak": 0.97, "flow_area": 0.95}
-    found = _by_presence(case, whole, search, odds)[1]
-    assert CATALOGUE["leak"].family == CATALOGUE["flow_area"].family
-    assert (found.status, set(found.sure)) == (Status.NAMED_FORM_INADEQUATE, set(TWO))
-    assert "with flow_area, which these data do not establish" in str(found.reason)
 
 
 def test_effects_on_which_all_entries_agree_are_sure(two: _Case) -> None:
@@ -263,7 +247,7 @@ def test_the_headline_says_that_a_part_is_not_known() -> None:
     assert "the rest of the gap is not known" in said
     values = {"names": "wear", "percent": 95.0, "share": 99.0, "open": "leak"}
     beside = replace(verdict, reason=reason(Cause.PARTLY_OPEN, **values))
-    assert headline(beside).startswith("Wear (95 %), whatever else acts; with leak, which these")
+    assert headline(beside).startswith("Wear (95 %), whatever else acts; with leak, whose amount")
 
 
 def test_an_effect_is_the_likelier_the_less_another_can_stand_for_it() -> None:

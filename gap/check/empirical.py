@@ -26,6 +26,7 @@ from gap.check.campaign import parse_numbers, read_results
 from gap.check.engine import verdict_of_folder
 from gap.check.scoring.inputs import inputs_right
 from gap.check.scoring.score import size_of
+from gap.errors import CheckError
 
 STATUSES = ("unknown", "named_form_inadequate")
 _LEAST_SIZE = 2.0
@@ -92,7 +93,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--sets", required=True, help="numbers, such as 9030-9089")
     parser.add_argument("--out", type=Path, required=True, help="file with one line a set")
     given = parser.parse_args(arguments)
-    numbers = parse_numbers(given.sets)
+    try:
+        numbers = parse_numbers(given.sets)
+    except CheckError as error:
+        parser.error(str(error))
     done = {line["number"] for line in read_results(given.out)}
     given.out.parent.mkdir(parents=True, exist_ok=True)
     for number in numbers:

@@ -24,14 +24,15 @@ from typing import Any
 
 import numpy as np
 
-from blind.__main__ import numbers_of
 from blind.exchange import write
 from blind.recording import record
 from blind.sets import SEVERAL, blind_set
+from gap.check.campaign import parse_numbers
 from gap.check.scoring.score import MIMICKED
 from gap.check.scoring.statistics import Share, bins_of, debiased_error, share
 from gap.data.reader import read_dataset
 from gap.decision.diagnose import verdict_by_catalogue
+from gap.errors import CheckError
 from gap.verdict import Status, Verdict, plain
 
 LEAST_SIZE = 1.0
@@ -162,10 +163,14 @@ def main() -> int:
     )
     parser.add_argument("--out", type=Path, default=Path("out/several.jsonl"))
     options = parser.parse_args()
+    try:
+        numbers = parse_numbers(options.sets)
+    except CheckError as error:
+        parser.error(str(error))
     options.out.parent.mkdir(parents=True, exist_ok=True)
     lines = options.out.read_text().splitlines() if options.out.exists() else []
     scores = {(s["number"], bool(s.get("struck"))): s for s in map(json.loads, lines)}
-    for number in numbers_of(options.sets):
+    for number in numbers:
         if (number, options.strike) not in scores:
             made = scores[number, options.strike] = score(number, strike=options.strike)
             with options.out.open("a") as file:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -287,7 +287,8 @@ def _by_presence(
     Where an explanation of several effects is refused as a whole, those that are there in any case
     are named, and the rest of the gap stays unknown. Where it is accepted, it goes without effects
     that are rather not there, and with further ones that are; where none of several is there by
-    itself, none is named. Where several fit, those on which they agree are sure.
+    itself, none is named. Where it was not reliable, and is sure with further ones, all are named.
+    Where several fit, those on which they agree are sure.
 
     Args:
         further: the search with further effects beside its best explanation (`with_further`).
@@ -321,7 +322,7 @@ def _by_presence(
             part, found = with_more
             whole = finding.status is Status.NAMED and len(found.sure) == len((*ids, *more))
             return part, _as_whole(part, found) if whole else found
-        if kept and (len(kept) < len(ids) or _siblings(kept, odds)):
+        if kept and len(kept) < len(ids):
             return _partly(case, finding, kept, odds) or (case, finding)
         if not kept and len(ids) > 1:
             all_there = float(np.prod([odds.get(name, 0.0) for name in ids]))
@@ -332,7 +333,6 @@ def _by_presence(
         if len(finding.entries) == 1 and set(sure) > set(case.search.best.fit.ids):
             # What was not reliable is not the whole: with further effects all are sure.
             return _partly(wider, finding, sure, odds) or (case, finding)
-        sure = _without(_siblings(sure, odds), sure)
         agreed = [n for n in sure if all(n in h.fit.ids for h, _ in finding.entries)]
         if agreed:
             names = " and ".join(agreed)
@@ -344,10 +344,11 @@ def _by_presence(
 def _least(name: str, odds: Mapping[str, float], usual: float, config: DecisionConfig) -> float:
     """Least probability with which an effect is named: less beside two that are there."""
     others = sum(p >= config.present for other, p in odds.items() if other != name)
-    return config.present_beside_two if others >= _TWO else usual
+    return config.present_beside_two if others >= _MANY else usual
 
 
-_TWO = 2
+_MANY = 2
+"""Sure effects from which a bench is one with many."""
 
 
 def _partly_refused(
@@ -375,8 +376,8 @@ def _partly(
 ) -> tuple[_Case, _Finding] | None:
     """Some effects named, all others taken out, and the rest of the gap left unknown.
 
-    An effect whose amount the data do not determine is not named, nor is one beside a surer one of
-    its family; the others are, and are fitted beside it. None where nothing is left to name.
+    An effect whose amount the data do not determine is not named; the others are, and are fitted
+    beside it. None where nothing is left to name.
     """
     if not named:
         return None
@@ -384,15 +385,15 @@ def _partly(
     if len(named) < len(search.best.fit.ids):
         search = only_effects(case.problem, search, named)
     part = replace(case, search=search)
-    beside = {*_undetermined(part, search.best.fit), *_siblings(named, odds)}
-    named, unsure = _without(beside, named), tuple(n for n in search.best.fit.ids if n in beside)
+    undetermined = _undetermined(part, search.best.fit)
+    named = tuple(name for name in named if name not in undetermined)
     if not named:
         return None
     probability = float(np.prod([odds[name] for name in named]))
     several = Cause.PARTLY_SEVERAL if len(named) > 1 else Cause.PARTLY
     why = reason(
-        Cause.PARTLY_OPEN if unsure else several, names=" and ".join(named),
-        percent=100 * probability, share=100 * part.share, open=" and ".join(unsure),
+        Cause.PARTLY_OPEN if undetermined else several, names=" and ".join(named),
+        percent=100 * probability, share=100 * part.share, open=" and ".join(undetermined),
     )  # fmt: skip
     return part, replace(
         finding,
@@ -404,25 +405,6 @@ def _partly(
         confounders=[],
         sure=named,
     )
-
-
-def _siblings(names: Iterable[str], odds: Mapping[str, float]) -> tuple[str, ...]:
-    """Effects of a family of which a surer one is among `names`.
-
-    Such an effect mostly corrects the form of the other. Of ten pairs with 0.8 and more, among sets
-    100 to 1023 of the stream `several` and pairs 52000 to 52539 of the held-out forms, none was
-    right in both.
-    """
-    surest: dict[str, str] = {}
-    made = []
-    for name in sorted(names, key=lambda name: -odds[name]):
-        if surest.setdefault(CATALOGUE[name].family, name) != name:
-            made.append(name)
-    return tuple(made)
-
-
-def _without(some: Container[str], names: Iterable[str]) -> tuple[str, ...]:
-    return tuple(name for name in names if name not in some)
 
 
 def _undetermined(case: _Case, fit: FitResult) -> tuple[str, ...]:

@@ -87,7 +87,7 @@ def true_pressure(points: Points, active: Active) -> Array:
         if term.sensors.pressure is not None:
             gain, zero_kpa = term.sensors.pressure(term.amount)
             p = (p - zero_kpa * 1e3) / (1.0 + gain)
-    # Where a gauge ends above the pressure of a vented muscle, that is what it cannot show.
+    # At the lower end of the gauge the muscle is vented: nothing is left, whatever the zero is.
     return np.where(points.clipped, np.minimum(p, 0.0), p) if points.clipped.any() else p
 
 
