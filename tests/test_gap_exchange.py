@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gap.estimation.fit_problem import FitProblem
 from gap.estimation.information import tolerance
 from gap.selection.candidate_fits import Hypothesis
+from gap.selection.config import SELECTION
 from gap.selection.exchange import proposals, with_exchanges
 from gap.selection.inclusion import excess_chi2
 from gap.selection.search import SearchResult
@@ -60,6 +63,18 @@ def test_two_effects_take_the_place_of_two_that_stood_for_them(table: FitProblem
     assert found.best.cost < wrong.cost - ALARM
     assert found.left == excess_chi2(table, found.best.fit)
     assert wrong in found.rivals
+
+
+def test_a_rival_that_came_out_better_than_the_explanation_takes_its_place(
+    table: FitProblem,
+) -> None:
+    """In set 1026 a rival with fewer effects left 5,700 less once it was fitted to its end."""
+    wrong = fitted(table, "fibre_stretch", "pressure_gain")
+    right = fitted(table, "liner_threshold", "force_gain")
+    passed_by = replace(outcome(table, wrong), rivals=[right])
+    found = with_exchanges(table, passed_by, replace(SELECTION, exchange_rounds=0))
+    assert found.best is right
+    assert found.rivals == [wrong]
 
 
 def test_what_nothing_makes_better_stays_as_it_is(table: FitProblem) -> None:

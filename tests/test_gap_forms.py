@@ -112,3 +112,29 @@ def test_a_load_that_still_creeps_where_it_is_called_settled_rubs_less_after_a_s
     rubbed = laws.load_pull(points, [("link_friction", "", 2.0, form)], Context(C, np.zeros(1)))
     whole = 1.0 - np.exp(-np.array([np.inf, 0.2, 1.5, 6.0]) / 1.5)
     assert rubbed - plain == pytest.approx(-2.0 * whole, abs=1e-9)
+
+
+def test_a_load_that_sticks_after_it_has_turned_rubs_by_what_the_muscle_no_longer_pulls() -> None:
+    """A slide of 20 N held 1.2 kg where they were from 580 to 180 kPa: named another muscle."""
+    height = 1e5 * np.array([1.0, 2.0, 3.0, 3.0, 2.0, 1.0])
+    length = np.array([70.0, 66.0, 60.0, 60.0, 60.03, 64.0])
+    come = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
+    shown = rubbed(length, height, come)
+    assert shown[[1, 2, 3, 5]] == pytest.approx([2.0, 2.0, 2.0, -2.0], abs=1e-6)
+    assert shown[0] == 0.0  # nobody knows how it came there
+    assert -2.0 < shown[4] < 2.0
+    mixed = np.array([4, 0, 5, 2, 3, 1])  # the order of a table's rows says nothing
+    assert rubbed(length[mixed], height[mixed], come[mixed]) == pytest.approx(shown[mixed])
+    assert rubbed(length, height, np.zeros(6)) == pytest.approx(np.zeros(6))
+
+
+def rubbed(length_mm: np.ndarray, pressure: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """What 2 N of friction add to the pull that settled points ask for, N."""
+    points = still(
+        length_mm,
+        pressure=pressure,
+        direction=direction,
+        settled=np.ones(len(pressure), dtype=bool),
+    )
+    context, stuck = Context(C, np.zeros(1)), ("link_friction", "", 2.0, {"travel_mm": 0.2})
+    return laws.load_pull(points, [stuck], context) - laws.load_pull(points, [], context)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,17 @@ from blind.sets import SEVERAL, blind_set
 from gap.check.presence import cases, fit
 from gap.data.from_runs import open_data
 from gap.data.reader import read_dataset
-from gap.decision.classify import _by_presence, _Case, _Finding, _least
+from gap.decision.classify import (
+    _by_presence,
+    _Case,
+    _Finding,
+    _judged,
+    _least,
+    _told_apart,
+)
 from gap.decision.config import DECISION
+from gap.decision.confounders import Confounder
+from gap.decision.diagnose import CAREFUL, is_sure
 from gap.decision.presence import (
     FEATURES,
     Evidence,
@@ -170,6 +180,61 @@ def test_a_further_effect_is_named_only_where_it_is_sure(two: _Case, one: _Case)
     case, found = _by_presence(one, whole, two.search, {first: 0.95, other: 0.8})
     assert found.sure == (first,)
     assert case is one
+
+
+def test_an_effect_that_leaves_nothing_is_told_apart_from_what_looks_like_it_but_does_not_fit(
+    one: _Case,
+) -> None:
+    """A delay of a camera whose fit left nothing was not named for a viscosity that left 153."""
+    exact = replace(one, search=replace(one.search, left=0.0))
+    whole = one.problem.base.cost - one.search.best.cost
+    like = [Confounder(("viscosity",), 1.0 - left / whole) for left in (0.02 * whole, 60.0)]
+    assert 0.02 * whole > 120.0
+    assert [_told_apart(exact, each) for each in like] == [True, False]
+    assert one.search.left > one.chance  # its own form may be what tells them apart
+    assert not any(_told_apart(one, each) for each in like)
+
+
+@pytest.mark.parametrize(("known", "with_more", "wider"), [(0.6, 0.3, True), (0.3, 0.6, False)])
+def test_an_explanation_is_judged_with_further_effects_where_it_then_looks_less_foreign(
+    two: _Case, one: _Case, monkeypatch: pytest.MonkeyPatch, known: float, with_more: float,
+    wider: bool,
+) -> None:  # fmt: skip
+    """What two effects leave looks like something foreign until a third and a fourth are in."""
+    unknown = {1: known, 2: with_more}
+    monkeypatch.setattr(
+        decision, "shipped_reliability",
+        lambda: Told({name: {"unknown": p} for name, p in unknown.items()}),
+    )  # fmt: skip
+    case = replace(one)
+    judged = _judged(case, two.search)
+    assert len(judged.search.best.fit.ids) == (2 if wider else 1)
+    assert judged.search.left == (two if wider else one).search.left
+    assert _judged(case, case.search) is case
+
+
+@dataclass(frozen=True)
+class Told:
+    """Outcomes by the number of effects of an explanation."""
+
+    outcomes: dict[int, dict[str, float]]
+
+    def of(self, traits: Mapping[str, float]) -> dict[str, float]:
+        return self.outcomes[int(traits["effects"])]
+
+
+def test_on_a_plant_in_doubt_a_third_effect_is_named_beside_two_that_are_sure() -> None:
+    odds = {"leak": 0.85, **dict(zip(TWO_MORE, (0.95, 0.92), strict=True))}
+    usual = CAREFUL.present_in_several
+    assert _least("leak", odds, usual, CAREFUL) == DECISION.present_in_several
+    assert _least("leak", odds | {"creep": 0.85}, usual, CAREFUL) == DECISION.present
+    verdict = Verdict(
+        Status.NAMED, reason(Cause.NO_GAP), None, (), 0.0, 0.1, sure=("leak", *TWO_MORE),
+        evidence={"presence": [{"id": k, "probability": p} for k, p in odds.items()]},
+    )  # fmt: skip
+    assert is_sure(verdict)
+    assert not is_sure(replace(verdict, sure=("leak", "wear")))
+    assert not is_sure(replace(verdict, sure=()))
 
 
 def test_effects_that_are_all_sure_with_a_further_one_are_named_though_the_part_was_not_reliable(

@@ -21,7 +21,7 @@ from gap.estimation.cross_validation import HeldOut, gap_of, held_out
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.intervals import detection_limits, growth_estimates, headline_estimates
 from gap.reason import Cause, Reason, reason
-from gap.selection.candidate_fits import Hypothesis
+from gap.selection.candidate_fits import Hypothesis, linear_gains
 from gap.selection.config import SELECTION
 from gap.selection.further import with_further
 from gap.selection.per_stroke import with_per_stroke_delays
@@ -57,6 +57,11 @@ class _Case:
     def chance(self) -> float:
         """One standard deviation of chi-square."""
         return float(np.sqrt(2.0 * len(self.problem.rows)))
+
+    @property
+    def leaves_nothing(self) -> bool:
+        """Whether the best explanation leaves no more than chance."""
+        return self.search.left < self.chance
 
     @cached_property
     def shared(self) -> float:
@@ -139,6 +144,7 @@ def classify(
         finding = _unknown(case, case.search.best.fit, 1.0, Reason(Cause.UNCERTAIN_DEFECT))
     elif case.search.best.keys:
         further = with_further(problem, case.search)
+        case = _judged(case, further)
         evidence = evidence_of(problem, further, case.reliability["unknown"])
         odds = {one.id: shipped_presence().of(one) for one in evidence}
         case, finding = _by_presence(case, _explained(case), further, odds)
@@ -147,6 +153,19 @@ def classify(
     else:
         finding = _unexplained(case)
     return _verdict(case, finding), case.search
+
+
+def _judged(case: _Case, further: SearchResult) -> _Case:
+    """The case with further effects, where these make it less like an effect nobody knows.
+
+    Two large effects leave what a third and a fourth do, and what is left looks like something
+    outside the catalogue until they are in.
+    """
+    if further.best is case.search.best:
+        return case
+    gains = linear_gains(case.problem, further.best.fit).by_key()
+    wider = replace(case, search=replace(further, last_gain=gains))
+    return wider if wider.reliability["unknown"] < case.reliability["unknown"] else case
 
 
 def _unknown(case: _Case, fit: FitResult, unknown: float, why: Reason) -> _Finding:
@@ -268,7 +287,10 @@ def _explained(case: _Case) -> _Finding:
             unknown=max(found.unknown, config.unknown),
             reason=reason(Cause.UNDETERMINED, names=names),
         )
-    status, why = _status(case, entries, nearest_confounder(search, problem.base.cost, one), two)
+    nearest = nearest_confounder(search, problem.base.cost, one)
+    if nearest is not None and _told_apart(case, nearest):
+        nearest = None
+    status, why = _status(case, entries, nearest, two)
     right, partly = reliability["right"], reliability["right"] + reliability["part"]
     several = len(fit.ids) > 1
     least = config.named_several if several else config.named
@@ -439,15 +461,13 @@ def _undetermined(case: _Case, fit: FitResult) -> tuple[str, ...]:
 def _confounders(case: _Case) -> tuple[Confounder | None, Confounder | None]:
     """Best single and pair that could stand in for the explanation, by signatures.
 
-    What takes most of the gap of a single effect takes its name away even where the data rule it
-    out: told apart by a few per cent of the gap, the name would rest on the exact form.
+    Those that the data tell from it are left out.
     """
     fit = case.search.best.fit
     one, two = ConfounderSearch(case.problem).of(
         case.problem.base.residual - fit.residual, frozenset(fit.ids)
     )
-    if len(fit.ids) > 1:
-        one, two = (None if m and _ruled_out(case, m) else m for m in (one, two))
+    one, two = (None if m and _told_apart(case, m) else m for m in (one, two))
     return one, two
 
 
@@ -465,6 +485,17 @@ def nearest_confounder(
         if rival.fit.ids != fit.ids and (one is None or taken > one.share):
             one = Confounder(rival.fit.ids, min(taken, 1.0))
     return one
+
+
+def _told_apart(case: _Case, confounder: Confounder) -> bool:
+    """Whether a confounder is ruled out, and not by the form of the effect alone.
+
+    What takes most of the gap of a single effect takes its name away even where the data rule it
+    out: told apart by a few per cent of the gap, the name would rest on the exact form. Where the
+    effect leaves nothing, its form is exact.
+    """
+    several = len(case.search.best.fit.ids) > 1
+    return (several or case.leaves_nothing) and _ruled_out(case, confounder)
 
 
 def _ruled_out(case: _Case, confounder: Confounder) -> bool:

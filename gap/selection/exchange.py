@@ -60,6 +60,12 @@ def with_exchanges(
     if len(best.keys) < 2:
         return search
     each = config.exchange_cost * search.alarm
+    for rival in search.rivals:
+        # A rival that was fitted to the end after the search had passed it by.
+        if len(rival.keys) <= config.most_effects and _is_better(
+            problem, rival, best, each, config
+        ):
+            best = rival
     seen = {frozenset(best.keys)}
     for _ in range(config.exchange_rounds):
         found = None
@@ -69,9 +75,7 @@ def with_exchanges(
                 continue
             seen.add(frozenset(keys))
             made = _fitted(problem, best, exchange, keys)
-            more = max(len(made.keys) - len(best.keys), 0)
-            least = each + more * config.beside_of_left * excess_chi2(problem, best.fit)
-            if made.cost + each * len(made.keys) < best.cost + each * len(best.keys) - least:
+            if _is_better(problem, made, best, each, config):
                 found = made
                 break
         if found is None:
@@ -84,10 +88,20 @@ def with_exchanges(
     # What a new effect took when it entered is not known: its part of all that is explained.
     part = max(search.gap - left, 0.0) / len(best.keys)
     new = tuple((k, part) for k in best.keys if k not in dict(kept))
-    rivals = sorted((search.best, *search.rivals), key=lambda one: one.cost)
+    others = (one for one in (search.best, *search.rivals) if one is not best)
+    rivals = sorted(others, key=lambda one: one.cost)
     return replace(
         search, best=best, rivals=rivals, left=left, steps=(*kept, *new), per_stroke=None
     )
+
+
+def _is_better(
+    problem: FitProblem, made: Hypothesis, best: Hypothesis, each: float, config: SelectionConfig
+) -> bool:
+    """Whether an explanation leaves less, by more than its effects cost and a chance could."""
+    more = max(len(made.keys) - len(best.keys), 0)
+    least = each + more * config.beside_of_left * excess_chi2(problem, best.fit)
+    return made.cost + each * len(made.keys) < best.cost + each * len(best.keys) - least
 
 
 def proposals(

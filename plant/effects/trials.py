@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from plant.effects.arguments import Points
+from plant.effects.arguments import Points, Whole
 
 _NOISE_TURNS = 3.0
 """Sd of a path's noise that is no turning back."""
@@ -36,6 +36,21 @@ def _slope(points: Points, values: Any) -> Any:
         if b - a > 2 and not points.settled[a]:
             made[a:b] = np.gradient(values[a:b], points.time_s[a:b])
     return made
+
+
+def in_order(points: Points) -> Whole:
+    """Index of each point in the order in which it was taken, trial by trial.
+
+    The order of the rows of a table says nothing. Settled points go by their directions: up from
+    the lowest pressure, then down from the highest.
+    """
+    at = np.arange(len(points.length))
+    for a, b in pairwise(points.first.tolist()):
+        if b > a and points.settled[a]:
+            falling = points.direction[a:b] < 0.0
+            height = np.where(falling, -points.pressure[a:b], points.pressure[a:b])
+            at[a:b] = a + np.lexsort((height, falling))
+    return at
 
 
 def without_noise_turns(points: Points, travel: Any) -> Any:

@@ -7,6 +7,7 @@ import numpy as np
 from plant.constants import PlantConstants
 from plant.effects.arguments import Array, Params, Points, Shape, Values
 from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search, same_numbers
+from plant.effects.trials import in_order
 from plant.physics.layout import LENGTH
 
 FORCE, TRAVEL = 60, 61  # N; m of motion after which the link slips
@@ -46,16 +47,11 @@ def _drag_stiffness(bound: float, params: Params) -> float:
 def _sliding(points: Points, shape: Shape) -> Array:
     """Direction of sliding, -1 to 1; settled points have come the way their table says."""
     if "travel_mm" in shape:
-        from plant.physics import paths
-
-        slip = np.zeros(len(points.length))
-        travel = points.length / (shape["travel_mm"] * 1e-3)
-        paths.slip(points.first, np.ascontiguousarray(travel), slip)
-    else:
-        speed = points.rate * 1e3
-        slip = np.tanh(speed / shape["knee_mm_s"])
-        if "fall_mm_s" in shape:  # Stribeck's part, gone at speed
-            slip = slip * np.exp(-((speed / shape["fall_mm_s"]) ** 2))
+        return _slip(points, points.length / (shape["travel_mm"] * 1e-3))
+    speed = points.rate * 1e3
+    slip = np.tanh(speed / shape["knee_mm_s"])
+    if "fall_mm_s" in shape:  # Stribeck's part, gone at speed
+        slip = slip * np.exp(-((speed / shape["fall_mm_s"]) ** 2))
     come = -points.direction
     if "step_mm" in shape:
         # A load still creeps where a point is called settled, the less the shorter its last step.
@@ -64,6 +60,22 @@ def _sliding(points: Points, shape: Shape) -> Array:
         come = come * -np.expm1(-step / shape["step_mm"])
     # The rows of a table of settled points are no path: only a stated direction tells.
     return np.where(points.direction != 0.0, come, np.where(points.settled, 0.0, slip))
+
+
+def _slip(points: Points, travel: Array) -> Array:
+    """Slip along each trial of elements that stick like springs, -1 to 1.
+
+    A load that sticks after it has turned takes what the muscle no longer pulls, settled or not.
+    The path of settled points is that of their directions; nothing is known of how a load that may
+    have bounced came to the first of them.
+    """
+    from plant.physics import paths
+
+    at = in_order(points)
+    slip, made = np.zeros(len(at)), np.empty(len(at))
+    paths.slip(points.first, np.ascontiguousarray(travel[at]), slip)
+    made[at] = slip
+    return np.where(points.settled & (points.direction == 0.0), 0.0, made)
 
 
 LINK_FRICTION = Effect(
