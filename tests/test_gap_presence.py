@@ -26,7 +26,7 @@ from gap.decision.classify import (
 )
 from gap.decision.config import DECISION
 from gap.decision.confounders import Confounder
-from gap.decision.diagnose import CAREFUL, is_sure
+from gap.decision.diagnose import has_sure_effect
 from gap.decision.presence import (
     FEATURES,
     Evidence,
@@ -223,18 +223,16 @@ class Told:
         return self.outcomes[int(traits["effects"])]
 
 
-def test_on_a_plant_in_doubt_a_third_effect_is_named_beside_two_that_are_sure() -> None:
-    odds = {"leak": 0.85, **dict(zip(TWO_MORE, (0.95, 0.92), strict=True))}
-    usual = CAREFUL.present_in_several
-    assert _least("leak", odds, usual, CAREFUL) == DECISION.present_in_several
-    assert _least("leak", odds | {"creep": 0.85}, usual, CAREFUL) == DECISION.present
+def test_a_plant_in_doubt_is_believed_where_one_effect_is_sure_by_itself() -> None:
+    odds = {"leak": 0.85, "wear": 0.92, "creep": 0.86}
+    presence = [{"id": name, "probability": p} for name, p in odds.items()]
     verdict = Verdict(
-        Status.NAMED, reason(Cause.NO_GAP), None, (), 0.0, 0.1, sure=("leak", *TWO_MORE),
-        evidence={"presence": [{"id": k, "probability": p} for k, p in odds.items()]},
+        Status.NAMED, reason(Cause.NO_GAP), None, (), 0.0, 0.1, sure=tuple(odds),
+        evidence={"presence": presence},
     )  # fmt: skip
-    assert is_sure(verdict)
-    assert not is_sure(replace(verdict, sure=("leak", "wear")))
-    assert not is_sure(replace(verdict, sure=()))
+    assert has_sure_effect(verdict)
+    assert not has_sure_effect(replace(verdict, sure=("leak", "creep")))
+    assert not has_sure_effect(replace(verdict, sure=()))
 
 
 def test_effects_that_are_all_sure_with_a_further_one_are_named_though_the_part_was_not_reliable(
