@@ -22,6 +22,7 @@ from gap.decision.classify import (
     _Finding,
     _judged,
     _least,
+    _surely_there,
     _told_apart,
 )
 from gap.decision.config import DECISION
@@ -130,6 +131,15 @@ def test_beside_two_effects_that_are_sure_a_third_is_named_sooner(
 ) -> None:
     odds = {"leak": 0.76, **dict(zip(TWO_MORE, others, strict=True))}
     assert _least("leak", odds, usual, DECISION) == least
+
+
+def test_no_effect_that_is_likelier_there_than_a_named_one_stays_without_a_name() -> None:
+    """Set 1061: beside two of 0.9 the one of 0.85 was named, that of 0.92 beside one was not."""
+    odds = {"camera_scale": 0.85, "wear": 0.96, "force_zero": 0.92, "creep": 0.6}
+    usual = DECISION.present_in_refused
+    named = _surely_there(tuple(odds), odds, usual, DECISION)
+    assert named == ("camera_scale", "wear", "force_zero")
+    assert _surely_there(("creep",), odds, usual, DECISION) == ()
 
 
 def test_an_effect_whose_amount_is_open_does_not_take_the_name_of_the_one_beside_it(

@@ -323,11 +323,10 @@ def _by_presence(
     doubtful = not single and case.reliability["unknown"] > config.doubtful_unknown
     of_several = config.present_in_refused if doubtful else config.present_in_several
     usual = config.present if single else of_several
-    sure = tuple(
-        name
-        for name in further.best.fit.ids
-        if odds[name] >= (config.present if refused else _least(name, odds, usual, config))
-    )
+    all_ids = further.best.fit.ids
+    sure = tuple(name for name in all_ids if odds[name] >= config.present)
+    if not refused:
+        sure = _surely_there(all_ids, odds, usual, config)
     if refused:
         # The refusal of one effect was learnt on single effects. It says nothing of an explanation
         # of several that leaves a small part of what the one left.
@@ -335,21 +334,18 @@ def _by_presence(
         return (None if single else _partly_refused(wider, finding, sure, odds)) or (case, finding)
     if finding.status in NAMED:
         ids = finding.entries[0][0].fit.ids
-        kept = tuple(
-            name for name in ids if odds.get(name, 0.0) >= _least(name, odds, of_several, config)
-        )
+        kept = _surely_there(ids, odds, of_several, config)
         more = tuple(name for name in sure if name not in ids)
         with_more = _partly(wider, finding, (*kept, *more), odds) if more else None
         if with_more is not None:
             part, found = with_more
             whole = finding.status is Status.NAMED and len(found.sure) == len((*ids, *more))
             return part, _as_whole(part, found) if whole else found
-        if kept and len(kept) < len(ids):
-            return _partly(case, finding, kept, odds) or (case, finding)
-        if not kept and len(ids) > 1:
+        if len(kept) < len(ids) and len(ids) > 1:
             all_there = float(np.prod([odds.get(name, 0.0) for name in ids]))
             why = reason(Cause.UNRELIABLE, names=case.names, percent=100 * all_there)
-            return case, replace(finding, status=Status.INDISTINGUISHABLE, reason=why)
+            none = replace(finding, status=Status.INDISTINGUISHABLE, reason=why)
+            return _partly(case, finding, kept, odds) or (case, none)
         return case, replace(finding, sure=ids)
     if finding.status is Status.INDISTINGUISHABLE and not single:
         if len(finding.entries) == 1 and set(sure) > set(case.search.best.fit.ids):
@@ -361,6 +357,18 @@ def _by_presence(
             why = reason(Cause.SURE_BESIDE, sure=names, rest=str(finding.reason))
             return case, replace(finding, sure=tuple(agreed), reason=why)
     return case, finding
+
+
+def _surely_there(
+    ids: tuple[str, ...], odds: Mapping[str, float], usual: float, config: DecisionConfig
+) -> tuple[str, ...]:
+    """Effects that are named: none that is likelier there than a named one stays out."""
+    own = [odds.get(name, 0.0) for name in ids]
+    least = min(
+        (p for name, p in zip(ids, own, strict=True) if p >= _least(name, odds, usual, config)),
+        default=np.inf,
+    )
+    return tuple(name for name, p in zip(ids, own, strict=True) if p >= least)
 
 
 def _least(name: str, odds: Mapping[str, float], usual: float, config: DecisionConfig) -> float:
