@@ -36,6 +36,9 @@ def predicted(without: float, left: float, rival: float, by: str = "creep") -> P
         (("viscosity",), [predicted(450.0, 390.0, 440.0)], "open"),  # nothing there to predict
         (("viscosity",), [predicted(9e3, 420.0, 6e3), predicted(9e3, 5e3, 6e3)], "open"),  # refuted
         (("viscosity",), [predicted(9e3, 420.0, 6e3), predicted(9e3, 420.0, 480.0)], "named"),
+        (("viscosity",), 2 * [predicted(9e3, 3e3, 6e3)], "named"),  # inexact, others far worse
+        (("viscosity",), [predicted(9e3, 3e3, 6e3)], "open"),  # once may be chance
+        (("viscosity",), 2 * [predicted(9e3, 3e3, 5e3)], "open"),  # another is not far worse
         (("viscosity", "camera_delay"), [predicted(9e3, 420.0, 6e3)], "needs reference"),
         (("viscosity", "camera_delay"), [predicted(9e3, 420.0, 6e3, "camera_delay")], "named"),
         (("viscosity", "wear+end_cap"), [predicted(9e3, 420.0, 6e3, "wear")], "named"),

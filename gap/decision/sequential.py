@@ -67,20 +67,22 @@ class SequentialVerdict:
         """The last test that came out as predicted, if it and those before it prove it.
 
         They were held against each entry left, or one that shares a family with it, no later one
-        spoke against it, and together they gain what a proof needs.
+        spoke against it, and together they gain what a proof needs. Where its form is inexact, so
+        that none comes out in full, two prove it that every rival predicts far worse.
         """
         last: tuple[str, Prediction] | None = None
-        gained = 0.0
+        gained, outpredicted = 0.0, 0
         for protocol, found in reversed(self.predicted.get(self.family or "", [])):
             if found.refuted:
                 break
             against = [families(ids) for ids in found.rivals]
             held = all(any(other & one for one in against) for other in self._others)
-            if found.share < VALIDATION.predicted_share or not held:
+            if not held or not (found.share >= VALIDATION.predicted_share or found.outpredicts):
                 continue
             last = last or (protocol, found)
-            gained += found.gained
-            if gained > VALIDATION.shown_chi2:
+            gained += found.gained if found.share >= VALIDATION.predicted_share else 0.0
+            outpredicted += found.outpredicts
+            if gained > VALIDATION.shown_chi2 or outpredicted >= VALIDATION.outpredicted_tests:
                 return last
         return None
 

@@ -53,6 +53,19 @@ class Prediction:
         return self.gained > VALIDATION.shown_chi2 and self.share >= VALIDATION.predicted_share
 
     @property
+    def outpredicts(self) -> bool:
+        """Whether it predicts more than half of the gap, and every rival leaves a multiple of what
+        it leaves: the right explanation in an inexact form.
+        """
+        beyond = max(self.left - self.rows, float(np.sqrt(2.0 * self.rows)))
+        by_rivals = self.gained + self.left - self.rows
+        return (
+            self.gained > VALIDATION.shown_chi2
+            and self.share >= VALIDATION.refuted_share
+            and by_rivals > VALIDATION.outpredicted * beyond
+        )
+
+    @property
     def gained(self) -> float:
         """Whitened squares that it takes away beyond what the nearest rival does."""
         return min([self.without, *self.rivals.values()]) - self.left
