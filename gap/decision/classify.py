@@ -159,13 +159,14 @@ def _judged(case: _Case, further: SearchResult) -> _Case:
     """The case with further effects, where these make it less like an effect nobody knows.
 
     Two large effects leave what a third and a fourth do, and what is left looks like something
-    outside the catalogue until they are in.
+    outside the catalogue until they are in. What is refused all the same is not made longer.
     """
     if further.best is case.search.best:
         return case
     gains = linear_gains(case.problem, further.best.fit).by_key()
     wider = replace(case, search=replace(further, last_gain=gains))
-    return wider if wider.reliability["unknown"] < case.reliability["unknown"] else case
+    most = min(case.config.unknown, case.reliability["unknown"])
+    return wider if wider.reliability["unknown"] < most else case
 
 
 def _unknown(case: _Case, fit: FitResult, unknown: float, why: Reason) -> _Finding:
@@ -287,10 +288,11 @@ def _explained(case: _Case) -> _Finding:
             unknown=max(found.unknown, config.unknown),
             reason=reason(Cause.UNDETERMINED, names=names),
         )
-    nearest = nearest_confounder(search, problem.base.cost, one)
-    if nearest is not None and _told_apart(case, nearest):
-        nearest = None
-    status, why = _status(case, entries, nearest, two)
+    alike = [
+        None if m is None or _told_apart(case, m) else m
+        for m in (nearest_confounder(search, problem.base.cost, one), two)
+    ]
+    status, why = _status(case, entries, *alike)
     right, partly = reliability["right"], reliability["right"] + reliability["part"]
     several = len(fit.ids) > 1
     least = config.named_several if several else config.named
@@ -469,13 +471,14 @@ def _undetermined(case: _Case, fit: FitResult) -> tuple[str, ...]:
 def _confounders(case: _Case) -> tuple[Confounder | None, Confounder | None]:
     """Best single and pair that could stand in for the explanation, by signatures.
 
-    Those that the data tell from it are left out.
+    Of several, those that the data rule out are left out.
     """
     fit = case.search.best.fit
     one, two = ConfounderSearch(case.problem).of(
         case.problem.base.residual - fit.residual, frozenset(fit.ids)
     )
-    one, two = (None if m and _told_apart(case, m) else m for m in (one, two))
+    if len(fit.ids) > 1:
+        one, two = (None if m and _ruled_out(case, m) else m for m in (one, two))
     return one, two
 
 
