@@ -237,7 +237,7 @@ def test_a_plant_in_doubt_is_believed_where_one_effect_is_sure_by_itself() -> No
     odds = {"leak": 0.85, "wear": 0.92, "creep": 0.86}
     presence = [{"id": name, "probability": p} for name, p in odds.items()]
     verdict = Verdict(
-        Status.NAMED, reason(Cause.NO_GAP), None, (), 0.0, 0.1, sure=tuple(odds),
+        Status.NAMED, reason(Cause.EXPLAINED, names="all"), None, (), 0.0, 0.1, sure=tuple(odds),
         evidence={"presence": presence},
     )  # fmt: skip
     assert has_sure_effect(verdict)

@@ -325,15 +325,15 @@ def _by_presence(
     doubtful = not single and case.reliability["unknown"] > config.doubtful_unknown
     of_several = config.present_in_refused if doubtful else config.present_in_several
     usual = config.present if single else of_several
-    all_ids = further.best.fit.ids
-    sure = tuple(name for name in all_ids if odds[name] >= config.present)
-    if not refused:
-        sure = _surely_there(all_ids, odds, usual, config)
+    ids_there = further.best.fit.ids
     if refused:
+        likely = tuple(name for name in ids_there if odds[name] >= config.present)
         # The refusal of one effect was learnt on single effects. It says nothing of an explanation
         # of several that leaves a small part of what the one left.
         single = single and further.left > config.beyond_single * case.search.left
-        return (None if single else _partly_refused(wider, finding, sure, odds)) or (case, finding)
+        named = None if single else _partly_refused(wider, finding, likely, odds)
+        return named or (case, finding)
+    sure = _surely_there(ids_there, odds, usual, config)
     if finding.status in NAMED:
         ids = finding.entries[0][0].fit.ids
         kept = _surely_there(ids, odds, of_several, config)

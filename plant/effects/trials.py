@@ -42,7 +42,7 @@ def in_order(points: Points) -> Whole:
     """Index of each point in the order in which it was taken, trial by trial.
 
     The order of the rows of a table says nothing. Settled points go by their directions: up from
-    the lowest pressure, then down from the highest.
+    the lowest pressure, then down from the highest; one without a direction goes with those up.
     """
     at = np.arange(len(points.length))
     for a, b in pairwise(points.first.tolist()):
