@@ -54,11 +54,11 @@ class Cause(StrEnum):
     )
     PARTLY = (
         "{names} is there ({percent:.0f} %), whatever else acts: it explains {share:.0f} % of the "
-        "gap, and what explains the rest is not known"
+        "gap, and {rest} is not known"
     )
     PARTLY_SEVERAL = (
         "{names} are there ({percent:.0f} %), whatever else acts: they explain {share:.0f} % of "
-        "the gap, and what explains the rest is not known"
+        "the gap, and {rest} is not known"
     )
     PARTLY_OPEN = (
         "{names} ({percent:.0f} %), whatever else acts; with {open}, whose amount these data leave "
@@ -89,6 +89,15 @@ class Cause(StrEnum):
 
 PARTS = (Cause.PARTLY, Cause.PARTLY_SEVERAL)
 """Causes of a verdict that names some effects and leaves the rest of the gap unknown."""
+
+
+def rest_of(share: float) -> str:
+    """What is not known where some effects are named that explain so many per cent of the gap."""
+    return "whether anything else acts" if share >= _ALL else "what explains the rest"
+
+
+_ALL = 99.5
+"""Per cent of the gap that are written as 100."""
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ from gap.decision.presence import (
 )
 from gap.errors import CheckError
 from gap.estimation.fit_problem import FitProblem
-from gap.reason import Cause, reason
+from gap.reason import Cause, reason, rest_of
 from gap.reporting.text import headline
 from gap.selection.candidate_fits import Hypothesis, is_bent
 from gap.selection.config import SELECTION
@@ -312,12 +312,18 @@ def test_an_effect_that_takes_little_of_what_is_left_and_is_not_seen_stays_out()
 
 
 def test_the_headline_says_that_a_part_is_not_known() -> None:
-    why = reason(Cause.PARTLY, names="leak", percent=95.0, share=60.0)
+    why = reason(Cause.PARTLY, names="leak", percent=95.0, share=60.0, rest=rest_of(60.0))
     entry = Explanation(("leak",), "leak", 0.95)
     verdict = Verdict(Status.NAMED_FORM_INADEQUATE, why, "chamber", (entry,), 0.0, 0.05)
     said = headline(verdict)
     assert "95 % sure" in said
-    assert "the rest of the gap is not known" in said
+    assert "what explains the rest is not known" in said
+    all_of_it = replace(
+        verdict,
+        reason=reason(Cause.PARTLY, names="leak", percent=95.0, share=99.8, rest=rest_of(99.8)),
+    )
+    assert "explains 100 % of the gap, and whether anything else acts is" in str(all_of_it.reason)
+    assert "whether anything else acts is not known" in headline(all_of_it)
     values = {"names": "wear", "percent": 95.0, "share": 99.0, "open": "leak"}
     beside = replace(verdict, reason=reason(Cause.PARTLY_OPEN, **values))
     assert headline(beside).startswith("Wear (95 %), whatever else acts; with leak, whose amount")

@@ -250,11 +250,12 @@ class _Running(SequentialVerdict):
     ) -> Test | None:
         """The test to be made again: where the explanation and its nearest rival part most.
 
+        It is made for one family: the one that leads, or the one that all entries left agree on.
         None where no test parts them by more than `least`, or two have failed already.
         """
-        if self.search is None or self.problem is None or self.family is None:
+        if self.search is None or self.problem is None or not (self.family or self.agreed):
             return None
-        predicted = self.predicted.get(self.family, [])
+        predicted = self.predicted.get(joint(families(self.search.best.fit.ids)), [])
         if sum(not found.confirmed for _, found in predicted) >= INVESTIGATION.most_failed:
             return None
         if self._margins is None:

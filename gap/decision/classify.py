@@ -20,7 +20,7 @@ from gap.estimation.agreement import shared_chi2
 from gap.estimation.cross_validation import HeldOut, gap_of, held_out
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.intervals import detection_limits, growth_estimates, headline_estimates
-from gap.reason import Cause, Reason, reason
+from gap.reason import Cause, Reason, reason, rest_of
 from gap.selection.candidate_fits import Hypothesis, linear_gains
 from gap.selection.config import SELECTION
 from gap.selection.further import with_further
@@ -423,9 +423,11 @@ def _partly(
         return None
     probability = float(np.prod([odds[name] for name in named]))
     several = Cause.PARTLY_SEVERAL if len(named) > 1 else Cause.PARTLY
+    share = 100 * part.share
     why = reason(
         Cause.PARTLY_OPEN if undetermined else several, names=" and ".join(named),
-        percent=100 * probability, share=100 * part.share, open=" and ".join(undetermined),
+        percent=100 * probability, share=share, rest=rest_of(share),
+        open=" and ".join(undetermined),
     )  # fmt: skip
     return part, replace(
         finding,

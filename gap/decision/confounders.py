@@ -50,7 +50,7 @@ class ConfounderSearch:
             signature,
             self._columns,
             problem.rows.block,
-            problem.rows.span_s,
+            problem.rows.compared_s,
             problem.units,
             np.zeros(len(problem.names)),
         )

@@ -50,6 +50,18 @@ class SequentialVerdict:
         return next(iter(leading)) if len(leading) == 1 else None
 
     @property
+    def agreed(self) -> str | None:
+        """The family that is in every entry left, where the diagnosis stops short of a name.
+
+        None where there is none, or more than one of them.
+        """
+        left = [families(ids) for ids in self._entry_ids]
+        if self.verdict is None or self.verdict.status not in UNSETTLED or not left:
+            return None
+        common = frozenset.intersection(*left)
+        return next(iter(common)) if len(common) == 1 else None
+
+    @property
     def _others(self) -> list[frozenset[str]]:
         """Families of the entries left in which that of the leading one is not."""
         left = [families(ids) for ids in self._entry_ids]

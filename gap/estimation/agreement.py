@@ -37,7 +37,7 @@ def replicate_inflation(problem: FitProblem, key: str) -> float:
         problem.base.residual,
         columns[:, own],
         problem.rows.block,
-        problem.rows.span_s,
+        problem.rows.compared_s,
         trials,
         problem.base.shift,
     )

@@ -92,7 +92,7 @@ def held_out(
         if not here.any():
             continue
         unit = of_trial[problem.rows.trial[here]]
-        span = problem.rows.span_s[here]
+        span = problem.rows.compared_s[here]
         weight = np.asarray(np.bincount(unit, weights=span, minlength=count), dtype=np.float64)
         squares = span * problem.stated_residual[here] ** 2
         before = np.asarray(np.bincount(unit, weights=squares, minlength=count), dtype=np.float64)
@@ -134,7 +134,7 @@ def left_out(problem: FitProblem, fit: FitResult, of_trial: npt.NDArray[np.int64
     columns = problem.columns_of(fit)
     evidence = gather(
         problem.noise, columns, fit.residual, np.zeros((len(problem.rows), 0)), problem.rows.block,
-        problem.rows.span_s, of_trial, np.zeros(columns.shape[1]),
+        problem.rows.compared_s, of_trial, np.zeros(columns.shape[1]),
     )  # fmt: skip
     width = columns.shape[1]
     total = evidence.total
@@ -181,7 +181,7 @@ def floor_squares(problem: FitProblem, of_trial: npt.NDArray[np.int64]) -> dict[
             unit = of_trial[members[0]]
             if not at:
                 continue
-            weight = sum(float(rows.span_s[a].sum()) for a in at)
+            weight = sum(float(rows.compared_s[a].sum()) for a in at)
             common = set(rows.bin[at[0]].tolist())
             for a in at[1:]:
                 common &= set(rows.bin[a].tolist())
@@ -199,7 +199,7 @@ def floor_squares(problem: FitProblem, of_trial: npt.NDArray[np.int64]) -> dict[
             keep = [a[equal] for a in keep]
             slow = np.zeros(len(rows)) if problem.noise.trend is None else problem.noise.trend
             table = np.stack([(problem.base.residual - slow)[a] for a in keep])
-            span = np.mean([rows.span_s[a] for a in keep], axis=0)
+            span = np.mean([rows.compared_s[a] for a in keep], axis=0)
             variance = table.var(axis=0, ddof=1)
             made[name][unit] += float((span * variance).sum() / max(span.sum(), 1e-12)) * weight
     return made
@@ -211,7 +211,7 @@ def _expected(problem: FitProblem, trial: int, number: int) -> float:
     here = problem.rows.block[rows] == number
     v = np.array([problem.noise.scales[kind] ** 2 for kind in problem.noise.kinds[trial]])
     variance = problem.noise.white[rows] + (problem.noise.columns[trial] ** 2) @ v
-    return float((variance * problem.rows.span_s[rows])[here].sum())
+    return float((variance * problem.rows.compared_s[rows])[here].sum())
 
 
 def gap_of(block: str, held: HeldOut, named: bool, source: str | None, scheme: str | None) -> Gap:

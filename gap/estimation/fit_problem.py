@@ -561,7 +561,7 @@ class FitProblem:
         n = len(self.names)
         return gather(
             self.noise, columns[:, :n], fit.residual, columns[:, n + 1 :], self.rows.block,
-            self.rows.span_s, self.units, fit.shift,
+            self.rows.compared_s, self.units, fit.shift,
         )  # fmt: skip
 
     def all_columns(self, fit: FitResult) -> Array:

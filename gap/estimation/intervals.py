@@ -151,7 +151,7 @@ def _parts_by_slot(problem: FitProblem, fit: FitResult, own: list[int], key: str
     weight = np.zeros(len(rows))
     for number in np.unique(rows.block).tolist():
         here = rows.block == number
-        weight[here] = rows.span_s[here] / np.mean(problem.floor_variance[here])
+        weight[here] = rows.compared_s[here] / np.mean(problem.floor_variance[here])
     values = np.hstack([columns, without.residual[:, None]])
     units = problem.units[rows.trial]
     made = np.zeros((int(units.max()) + 1, 3, 3))

@@ -17,6 +17,9 @@ UNITS = {"pressure": "kPa", "force": "N", "load": "N", "camera": "mm"}
 class Rows:
     """What each feature row is: block, trial, mean time, samples, slot-wide bin number.
 
+    `span_s` is what a row stands for in its trial, `compared_s` the same in figures of a whole
+    block (an error, a floor): none where frames cannot follow the swing of a load. What is read
+    there means nothing, and would be most of such a figure.
     `doubt` is what the length's interpolation between frames may cost, in the block's unit (kPa,
     N, mm), `adrift` what gas that passed unseen may make of the pressure (kPa, one error
     throughout a trial), `floor` what no model of this kind gets right.
@@ -27,6 +30,7 @@ class Rows:
     time_s: Array
     samples: Array
     span_s: Array
+    compared_s: Array
     bin: Whole
     pressure: Array
     length: Array
@@ -65,6 +69,7 @@ def stacked(rows: list[Rows]) -> Rows:
         time_s=whole("time_s"),
         samples=whole("samples"),
         span_s=whole("span_s"),
+        compared_s=whole("compared_s"),
         bin=whole("bin").astype(np.int64),
         pressure=whole("pressure"),
         length=whole("length"),

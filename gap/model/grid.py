@@ -23,6 +23,7 @@ from gap.model.signals import Signal, edges_of, moving, smooth_slope
 from gap.model.unobserved_flow import passing, unknown_gas
 from plant.arrays import Array
 from plant.effects.arguments import Points, Whole
+from plant.effects.reference import TEMPERATURE_C
 from plant.physics.muscle import braid_force, braid_force_slope, braid_volume, braid_volume_slope
 
 Mask = npt.NDArray[np.bool_]
@@ -120,6 +121,25 @@ def trial_order(data: DataSet) -> Array:
     return np.asarray(order - order.min() if stated else np.zeros(len(order)))
 
 
+_ONE_ROOM_K = 3.0
+"""Difference of temperature up to which a room is the same."""
+
+
+def room_temperature(data: DataSet) -> float:
+    """Temperature of the room in degC: that of the trials nearest to the stated 21.
+
+    The nominal plant holds there. What it is off by in all trials alike shows nothing of
+    temperature, though the room be warmer than stated.
+    """
+    channels = [(trial.get("temperature_c"), trial.temperature_c) for trial in data.trials]
+    means = [float(np.mean(one.value)) if len(one) else usual for one, usual in channels]
+    known = np.array([value for value in means if np.isfinite(value)])
+    if not len(known):
+        return TEMPERATURE_C
+    nearest = known[np.argmin(np.abs(known - TEMPERATURE_C))]
+    return float(np.median(known[np.abs(known - nearest) <= _ONE_ROOM_K]))
+
+
 @dataclass
 class _Piece:
     """The points of one trial in one block, before its rows are numbered."""
@@ -142,6 +162,7 @@ class _Piece:
     doubt: Array
     floor: Array
     clipped: Mask
+    unfollowed: Mask
     trial: int = 0
     bin: Whole | None = None
     adrift: Array | None = None
@@ -181,6 +202,14 @@ _FOLLOWED = 0.4
 """Share of the frame rate up to which frames follow a swing."""
 
 
+_OF_ROWS = ("doubt", "floor", "unfollowed")
+"""What rows hold and points need not."""
+_UNFOLLOWED_M = 0.03e-3
+"""Swing that frames cannot follow from which it is more than their scatter."""
+_UNFOLLOWED_SHARE = 0.5
+"""Share of the samples of a point that must show it."""
+
+
 def _kept(piece: _Piece, keep: npt.NDArray[np.bool_]) -> _Piece:
     for name in _ARRAYS:
         setattr(piece, name, getattr(piece, name)[keep])
@@ -189,7 +218,7 @@ def _kept(piece: _Piece, keep: npt.NDArray[np.bool_]) -> _Piece:
 
 _ARRAYS = (
     "time_s", "weight", "pressure", "pressure_slope", "path", "length", "rate", "acceleration",
-    "temperature", "reading", "direction", "doubt", "floor", "clipped",
+    "temperature", "reading", "direction", "doubt", "floor", "clipped", "unfollowed",
 )  # fmt: skip
 
 
@@ -219,6 +248,7 @@ def _piece(trial: Trial, signal: Signal, output: Channel, scale: float, data: Da
         + _stiffness(signal, time_s, data) * _sync(signal)
         + _force_of_clipped(signal, time_s, data),
         signal.clipped_at(time_s),
+        np.where(_hidden_swing(signal, time_s, data) > _UNFOLLOWED_M, 1.0, 0.0),
     ]
     block = 1 if trial.settled else -(-len(time_s) // MOST_POINTS)
     weight = np.full(len(time_s), 1.0)
@@ -229,11 +259,12 @@ def _piece(trial: Trial, signal: Signal, output: Channel, scale: float, data: Da
         weight = count
     (
         t, p, slope, path, length, rate, acceleration, temperature, reading, direction, doubt,
-        floor, clipped,
+        floor, clipped, unfollowed,
     ) = columns  # fmt: skip
     return _Piece(
         t, weight, p, slope, path, length, rate, acceleration, signal.held, temperature, np.nan,
         reading, direction, np.empty(0), trial.settled, doubt, floor, clipped > _CLIPPED_SHARE,
+        unfollowed > _UNFOLLOWED_SHARE,
     )  # fmt: skip
 
 
@@ -326,7 +357,7 @@ def _chamber(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> _Piec
     return _Piece(
         t, count, p, zero, p, length, signal.rate_at(t), signal.acceleration_at(t),
         signal.held, signal.temperature_at(t), np.nan, p, zero, feed, False, doubt, floor,
-        clipped > _CLIPPED_SHARE, adrift=adrift,
+        clipped > _CLIPPED_SHARE, np.zeros(len(t), dtype=bool), adrift=adrift,
     )  # fmt: skip
 
 
@@ -382,7 +413,8 @@ def _assign(
 
 def _joined(pieces: list[_Piece], number: int, mountings: Whole) -> tuple[Points, Rows]:
     """All pieces of a block as one set of points, with its rows."""
-    columns: dict[str, list[Any]] = {name: [] for name in _ARRAYS if name not in ("doubt", "floor")}
+    columns: dict[str, list[Any]] = {name: [] for name in _ARRAYS if name not in _OF_ROWS}
+    blind = all(piece.unfollowed.all() for piece in pieces)
     row: list[Whole] = []
     sizes = np.zeros(len(mountings), dtype=np.int64)
     held: list[Array] = []
@@ -404,13 +436,15 @@ def _joined(pieces: list[_Piece], number: int, mountings: Whole) -> tuple[Points
         samples = np.asarray(np.bincount(inverse, weights=piece.weight), dtype=np.float64)
 
         mean = Mean(inverse, piece.weight, samples)
+        whole_s, followed_s = _spans(piece, inverse, len(found))
         made.append(
             Rows(
                 block=np.full(len(found), number),
                 trial=np.full(len(found), piece.trial),
                 time_s=mean(piece.time_s),
                 samples=samples,
-                span_s=np.ones(len(found)) if piece.settled else _spans(piece, inverse, len(found)),
+                span_s=whole_s,
+                compared_s=whole_s if blind else followed_s,
                 bin=found,
                 pressure=mean(piece.pressure),
                 length=mean(piece.length),
@@ -435,8 +469,15 @@ def _joined(pieces: list[_Piece], number: int, mountings: Whole) -> tuple[Points
     return points, stacked(made)
 
 
-def _spans(piece: _Piece, inverse: Whole, count: int) -> Array:
-    """Seconds of the trial that each row stands for."""
+def _spans(piece: _Piece, inverse: Whole, count: int) -> tuple[Array, Array]:
+    """Seconds of the trial that each row stands for, and the same where frames followed all of it.
+
+    Settled points stand for one each.
+    """
     t = piece.time_s
-    step = np.gradient(t) if len(t) > 1 else np.ones(1)
-    return np.asarray(np.bincount(inverse, weights=np.abs(step), minlength=count))
+    step = np.abs(np.gradient(t)) if len(t) > 1 else np.ones(1)
+    if piece.settled:
+        step = 1.0 / np.bincount(inverse, minlength=count)[inverse]
+    span = np.asarray(np.bincount(inverse, weights=step, minlength=count), dtype=np.float64)
+    lost = np.bincount(inverse, weights=piece.unfollowed, minlength=count)
+    return span, np.asarray(np.where(lost > 0.0, 0.0, span))

@@ -14,7 +14,7 @@ from gap.model import force as laws
 from gap.model import pressure as chamber
 from gap.model.empirical import correction_at
 from gap.model.features import BLOCKS
-from gap.model.grid import Grid, trial_order
+from gap.model.grid import Grid, room_temperature, trial_order
 from gap.model.nominal import NominalPlant
 from gap.model.threads import each
 from plant.arrays import Array
@@ -41,6 +41,7 @@ class Model:
     Attributes:
         nominal: the data set's simulator on these points; None for the built-in plant.
         order: of the trials, from 0; all zero where it is not known.
+        room_c: temperature at which the nominal plant holds.
         tared: length in m at which the force of each trial was set to zero.
     """
 
@@ -49,6 +50,7 @@ class Model:
     like: InitVar[Model | None] = None
     nominal: NominalPlant | None = field(init=False, default=None)
     order: Array = field(init=False)
+    room_c: float = field(init=False)
     tared: Array = field(init=False)
     _plain: dict[str, tuple[PlantConstants, Array]] = field(init=False, default_factory=dict)
     _corrections: dict[str, Array] = field(init=False, default_factory=dict)
@@ -65,6 +67,7 @@ class Model:
                 known.error if known is not None else None,
             )  # fmt: skip
         self.order = trial_order(self.grid.data)
+        self.room_c = room_temperature(self.grid.data)
         tared_mm = [trial.tare_length_mm for trial in self.grid.data.trials]
         self.tared = 1e-3 * np.array(tared_mm, dtype=np.float64)
 
@@ -145,8 +148,9 @@ class Model:
     def context(self, c: PlantConstants, active: Active) -> Context:
         """What forces need beside the points, with the force law that holds."""
         if self.nominal is None:
-            return Context(c, self.order)
-        return Context(c, self.order, self.nominal.law(self.nominal.shift(active)))
+            return Context(c, self.order, room_c=self.room_c)
+        law = self.nominal.law(self.nominal.shift(active))
+        return Context(c, self.order, law, self.room_c)
 
     def pull(self, block: str, points: Points, c: PlantConstants, active: Active) -> Array:
         """True pull of the muscle in N at the points of a block, whatever they are fed with."""

@@ -193,5 +193,5 @@ def _field(problem: FitProblem, fit: FitResult, block: str) -> Field:
         time_s=rows.time_s[here],
         before=problem.base.residual[here],
         after=fit.residual[here],
-        weight=rows.span_s[here],
+        weight=rows.compared_s[here],
     )

@@ -54,7 +54,7 @@ def headline(verdict: Verdict) -> str:
             share = f", {100 * best.probability:.0f} % sure{closed}"
             return sentence(
                 f"{what}{_in_brackets(values)} act{'s' if len(best.ids) == 1 else ''}, whatever "
-                f"else does{share}; what explains the rest of the gap is not known"
+                f"else does{share}; {verdict.reason.values['rest']} is not known"
             )
         case "named_form_inadequate":
             return sentence(

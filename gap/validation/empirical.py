@@ -354,7 +354,7 @@ def _held_out(problem: FitProblem, search: TermSearch) -> HeldOut:
     floor = floor_squares(problem, problem.units)[search.block][slots]
     here = problem.rows.block == BLOCKS.index(search.block)
     weight = np.bincount(
-        problem.units[problem.rows.trial[here]], weights=problem.rows.span_s[here],
+        problem.units[problem.rows.trial[here]], weights=problem.rows.compared_s[here],
         minlength=max(slots) + 1,
     )[slots].astype(np.float64)  # fmt: skip
     return HeldOut(base, base, after, floor, weight)
@@ -397,7 +397,7 @@ def _nearest(
 ) -> tuple[NearEntry, ...]:  # fmt: skip
     """How much of the term each entry could be, and the inputs in which they differ."""
     here = problem.rows.block == BLOCKS.index(search.block)
-    weight: Array = np.sqrt(problem.rows.span_s[here])
+    weight: Array = np.sqrt(problem.rows.compared_s[here])
     n = len(problem.names)
     whole = problem.signatures(search.fit)
     known = whole[here, :n] * weight[:, None]

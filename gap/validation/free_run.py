@@ -44,7 +44,7 @@ def free_running(problem: FitProblem, fit: FitResult) -> dict[str, HeldOut]:
         for end, table in made.items():
             at = chain.rows_of(end)
             own = problem.units[problem.rows.trial[at]] == unit
-            span = problem.rows.span_s[at][own]
+            span = problem.rows.compared_s[at][own]
             table["weight"][unit] = span.sum()
             for name, ran in (
                 ("before", untouched), ("recalibrated", recalibrated), ("after", after),

@@ -105,7 +105,8 @@ def _shape(problem: FitProblem, fit: FitResult, name: str) -> Mapping[str, float
     own = [(abs(a), s) for s, a in zip(fit.candidates, fit.amounts, strict=True) if s.id == name]
     shape = max(own, key=lambda one: one[0])[1].shape
     as_plant = CATALOGUE[name].search.as_plant
-    return as_plant(shape, problem.constants(fit.shift)) if as_plant is not None else {}
+    context = problem.model.context(problem.constants(fit.shift), fit.active)
+    return as_plant(shape, context) if as_plant is not None else {}
 
 
 def only(fit: FitResult, name: str) -> FitResult:

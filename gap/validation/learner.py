@@ -58,7 +58,7 @@ def generic(problem: FitProblem, freedom: int) -> Learnt:
             basis,
             problem.base.residual[at],
             problem.columns[at],
-            problem.rows.span_s[at],
+            problem.rows.compared_s[at],
             units[problem.rows.trial[at]],
             fold,
         )

@@ -66,7 +66,7 @@ def residual_maps(problem: FitProblem, fit: FitResult) -> list[Course]:
         here = np.flatnonzero(rows.block == number)
         if not len(here):
             continue
-        span = rows.span_s[here]
+        span = rows.compared_s[here]
         floor = float(np.sqrt(max(float(floors[block].sum()), 0.0) / max(span.sum(), 1e-12)))
         points = problem.grid.points[block]
         warm = problem.model._features(points, points.temperature)

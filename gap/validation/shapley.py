@@ -97,12 +97,12 @@ def waterfall(chain: Chain) -> Waterfall:
     value = np.zeros((slots, len(stages)))
     ends: dict[str, tuple[float, float]] = {}
     for name in first:
-        span = float(chain.problem.rows.span_s[chain.rows_of(name)].sum())
+        span = float(chain.problem.rows.compared_s[chain.rows_of(name)].sum())
         floor = floors[name]
         part = _shapley(stages, lambda real, kind=name: squares[real][kind])  # type: ignore[misc]
         value += part / max(span * floor**2, 1e-12)
         own = chain.of_rows(name, first[name])
-        weight = chain.problem.rows.span_s[chain.rows_of(name)]
+        weight = chain.problem.rows.compared_s[chain.rows_of(name)]
         ends[name] = (float(np.sqrt((weight @ own**2) / max(span, 1e-12))), floor)
     return Waterfall(stages, value, ends)
 
@@ -183,7 +183,7 @@ def replicate_tables(chain: Chain, name: str, values: Array) -> list[tuple[int, 
             parts, common = parts[:1], set(rows.bin[parts[0]].tolist())
         kept = [p[np.isin(rows.bin[p], list(common))] for p in parts]
         table = np.stack([own[place[p]] for p in kept])
-        made.append((slot, table, np.mean([rows.span_s[p] for p in kept], axis=0)))
+        made.append((slot, table, np.mean([rows.compared_s[p] for p in kept], axis=0)))
     return made
 
 

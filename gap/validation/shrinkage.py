@@ -98,7 +98,7 @@ def _transfer(problem: FitProblem, fit: FitResult) -> list[dict[str, Any]]:
                 continue
             weight = np.bincount(
                 units[problem.rows.trial[here]],
-                weights=problem.rows.span_s[here],
+                weights=problem.rows.compared_s[here],
                 minlength=len(known),
             )
             floors = np.zeros(len(known))

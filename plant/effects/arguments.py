@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from plant.constants import PlantConstants
+from plant.effects.reference import TEMPERATURE_C
 
 Values = Mapping[str, float | str]
 """The parameters of an effect in force, by name, in the units of their names."""
@@ -88,8 +89,10 @@ class Context:
         order: of the trials, from 0.
         law: nominal pull in N at gauge pressure in Pa and length in m; None for that of the
             braid.
+        room_c: temperature at which the nominal plant holds.
     """
 
     constants: PlantConstants
     order: Array
     law: Callable[[Array, Array], Array] | None = None
+    room_c: float = TEMPERATURE_C

@@ -202,7 +202,7 @@ class Search:
         bounded: whether the range of the headline parameter bounds the amount.
         plant_shape: the shape nearest to the form of the plant, the first where None.
         plant_misfit: share of the effect that this shape leaves of the plant's form (rms).
-        as_plant: (shape, constants) -> parameters of the plant's form that the shape gives.
+        as_plant: (shape, context) -> parameters of the plant's form that the shape gives.
         one_shape: whether its shapes are states of the gas, of which two at once mean nothing.
         scan: "clock" or "delay" for an amount in time too large for a sensitivity to show, which
             is tried at whole values. A table of settled points shows no clock.
@@ -222,7 +222,7 @@ class Search:
     bounded: bool = True
     plant_shape: Shape | None = None
     plant_misfit: float = 0.05
-    as_plant: Callable[[Shape, PlantConstants], Mapping[str, float]] | None = None
+    as_plant: Callable[[Shape, Context], Mapping[str, float]] | None = None
     one_shape: bool = False
     scan: str = ""
     settled: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
@@ -230,9 +230,9 @@ class Search:
     growth: Growth | None = None
 
 
-def same_numbers(**parameters: str) -> Callable[[Shape, PlantConstants], Mapping[str, float]]:
+def same_numbers(**parameters: str) -> Callable[[Shape, Context], Mapping[str, float]]:
     """`Search.as_plant` where the plant's form has numbers of the shape under other names."""
-    return lambda shape, c: {parameters[k]: v for k, v in shape.items() if k in parameters}
+    return lambda shape, context: {parameters[k]: v for k, v in shape.items() if k in parameters}
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,7 @@ def closed_fraction(
         here = rows.block == number
         if UNITS[block] != gap.get("unit") or block not in held or not here.any():
             continue
-        weight = rows.span_s[here]
+        weight = rows.compared_s[here]
         total = float(np.sum(weight * before[here]))
         off = abs(held[block].rms("recalibrated") - float(gap["recalibrated"] or 0.0))
         if total > 0.0 and off < miss:

@@ -66,7 +66,7 @@ class HeldOutTerms:
         whole[problem.rows.block == BLOCKS.index(block)] = columns
         known = problem.columns_of(fit)
         evidence = gather(
-            problem.noise, known, fit.residual, whole, problem.rows.block, problem.rows.span_s,
+            problem.noise, known, fit.residual, whole, problem.rows.block, problem.rows.compared_s,
             problem.units, np.zeros(known.shape[1]),
         )  # fmt: skip
         _, slope, stiffness = tolerance(fit.shift)

@@ -55,8 +55,8 @@ def _force(
     return spring(length, 1e3, shape["rest"] * c.braid_length_m, hardening, length_of(c))
 
 
-def _rest_of(shape: Shape, c: PlantConstants) -> dict[str, float]:
-    return {"rest_mm": shape["rest"] * c.braid_length_m * 1e3}
+def _rest_of(shape: Shape, context: Context) -> dict[str, float]:
+    return {"rest_mm": shape["rest"] * context.constants.braid_length_m * 1e3}
 
 
 BLADDER_ELASTICITY = Effect(

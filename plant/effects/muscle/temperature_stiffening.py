@@ -38,11 +38,15 @@ def _scale(
 def _force(
     points: Points, p: Array, length: Array, base: Array, shape: Shape, context: Context
 ) -> Array:
-    warmer = np.nan_to_num(points.temperature - TEMPERATURE_C) * 0.01
+    warmer = np.nan_to_num(points.temperature - context.room_c) * 0.01
     if "additive" in shape:
         return warmer * np.where(p > 1e3, TYPICAL_FORCE_N, 0.0)
     weight = np.maximum(p, 2e4) / FULL_PRESSURE_PA
     return warmer * base * weight ** shape.get("pressure", 0.0)
+
+
+def _as_plant(shape: Shape, context: Context) -> dict[str, float]:
+    return {"reference_c": context.room_c}
 
 
 TEMPERATURE_STIFFENING = Effect(
@@ -68,6 +72,7 @@ TEMPERATURE_STIFFENING = Effect(
         sign=0,
         blocks=("force", "load"),
         shapes=({}, {"pressure": 1.0}, {"pressure": -0.5}, {"additive": 1.0}),
+        as_plant=_as_plant,
         settled={"percent_per_k": (0.5, -5.0, 5.0), "flat_share": (0.3, 0.0, 1.0)},
     ),
 )
