@@ -7,17 +7,24 @@ fed the model too much pressure.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from gap.effects.recording import MOUNTING
 from gap.effects.terms import Active, Term, terms
 from plant.arrays import Array
 from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
-from plant.effects.arguments import Context, Points
+from plant.effects.arguments import Context, Points, Shape
+
+_Bend = tuple[Callable[[Array, float, Shape, Context], Array], Term]
+"""How a scale bends, and the effect in force that bends it."""
 
 _INVERTED = 5
 _INVERTED_M = 1e-12
 """Most steps of an inversion, and the step from which on it is exact."""
+_STRAIGHTENED = 6
+"""Steps in which a reading is freed of a bend; each leaves the share by which the scale is off."""
 _LEAST_SLOPE = 0.25
 _FARTHEST_M = 0.02
 """No camera that is called one shows a length this far from the true one."""
@@ -137,18 +144,39 @@ def rest_pull(points: Points, tared: Array, active: Active, context: Context) ->
     return np.where(np.isnan(tared), 0.0, pull)
 
 
-def force_read(force: Array, active: Active) -> Array:
+def _bends(active: Active) -> list[_Bend]:
+    on = [(term.diagnosis.force_linearity, term) for term in terms(active) if term.shape]
+    return [(bend, term) for bend, term in on if bend is not None]
+
+
+def _bent(straight: Array, bends: list[_Bend], context: Context) -> Array:
+    """What scales that bend show where straight ones show `straight`."""
+    shown = straight
+    for bend, term in bends:
+        shown = shown + bend(straight, term.amount, term.shape, context)
+    return shown
+
+
+def _straightened(shown: Array, bends: list[_Bend], context: Context) -> Array:
+    straight = shown
+    for _ in range(_STRAIGHTENED if bends else 0):
+        straight = straight + shown - _bent(straight, bends, context)
+    return straight
+
+
+def force_read(force: Array, active: Active, context: Context) -> Array:
     """What the force sensor shows at true force `force`."""
     for term in terms(active):
         if term.sensors.force is not None:
             gain, zero = term.sensors.force(term.amount)
             force = force * (1.0 + gain) + zero
-    return force
+    return _bent(force, _bends(active), context)
 
 
-def force_true(reading: Array, active: Active) -> Array:
+def force_true(reading: Array, active: Active, context: Context) -> Array:
     """True force behind a reading."""
-    for term in terms(active):
+    reading = _straightened(reading, _bends(active), context)
+    for term in reversed(terms(active)):
         if term.sensors.force is not None:
             gain, zero = term.sensors.force(term.amount)
             reading = (reading - zero) / (1.0 + gain)

@@ -23,7 +23,7 @@ from gap.model.signals import Signal, edges_of, moving, smooth_slope
 from gap.model.unobserved_flow import passing, unknown_gas
 from plant.arrays import Array
 from plant.effects.arguments import Points, Whole
-from plant.effects.reference import TEMPERATURE_C
+from plant.effects.reference import TEMPERATURE_C, TYPICAL_FORCE_N
 from plant.physics.muscle import braid_force, braid_force_slope, braid_volume, braid_volume_slope
 
 Mask = npt.NDArray[np.bool_]
@@ -138,6 +138,18 @@ def room_temperature(data: DataSet) -> float:
         return TEMPERATURE_C
     nearest = known[np.argmin(np.abs(known - TEMPERATURE_C))]
     return float(np.median(known[np.abs(known - nearest) <= _ONE_ROOM_K]))
+
+
+def full_force(data: DataSet) -> float:
+    """Largest force in N that was read, single spikes apart."""
+    read = [np.abs(trial["force_n"].value) for trial in data.trials if len(trial.get("force_n"))]
+    if not read:
+        return TYPICAL_FORCE_N
+    return max(float(np.quantile(np.concatenate(read), _SPIKES)), 1.0)
+
+
+_SPIKES = 0.99
+"""Share of the readings that are no spikes."""
 
 
 @dataclass

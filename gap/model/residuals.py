@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable
-from dataclasses import InitVar, dataclass, field
+from dataclasses import InitVar, dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -14,7 +14,7 @@ from gap.model import force as laws
 from gap.model import pressure as chamber
 from gap.model.empirical import correction_at
 from gap.model.features import BLOCKS
-from gap.model.grid import Grid, room_temperature, trial_order
+from gap.model.grid import Grid, full_force, room_temperature, trial_order
 from gap.model.nominal import NominalPlant
 from gap.model.threads import each
 from plant.arrays import Array
@@ -41,7 +41,6 @@ class Model:
     Attributes:
         nominal: the data set's simulator on these points; None for the built-in plant.
         order: of the trials, from 0; all zero where it is not known.
-        room_c: temperature at which the nominal plant holds.
         tared: length in m at which the force of each trial was set to zero.
     """
 
@@ -50,7 +49,7 @@ class Model:
     like: InitVar[Model | None] = None
     nominal: NominalPlant | None = field(init=False, default=None)
     order: Array = field(init=False)
-    room_c: float = field(init=False)
+    _plain_context: Context = field(init=False)
     tared: Array = field(init=False)
     _plain: dict[str, tuple[PlantConstants, Array]] = field(init=False, default_factory=dict)
     _corrections: dict[str, Array] = field(init=False, default_factory=dict)
@@ -67,7 +66,10 @@ class Model:
                 known.error if known is not None else None,
             )  # fmt: skip
         self.order = trial_order(self.grid.data)
-        self.room_c = room_temperature(self.grid.data)
+        data = self.grid.data
+        self._plain_context = Context(
+            data.constants, self.order, None, room_temperature(data), full_force(data)
+        )
         tared_mm = [trial.tare_length_mm for trial in self.grid.data.trials]
         self.tared = 1e-3 * np.array(tared_mm, dtype=np.float64)
 
@@ -148,9 +150,9 @@ class Model:
     def context(self, c: PlantConstants, active: Active) -> Context:
         """What forces need beside the points, with the force law that holds."""
         if self.nominal is None:
-            return Context(c, self.order, room_c=self.room_c)
+            return replace(self._plain_context, constants=c)
         law = self.nominal.law(self.nominal.shift(active))
-        return Context(c, self.order, law, self.room_c)
+        return replace(self._plain_context, constants=c, law=law)
 
     def pull(self, block: str, points: Points, c: PlantConstants, active: Active) -> Array:
         """True pull of the muscle in N at the points of a block, whatever they are fed with."""
@@ -182,14 +184,14 @@ class Model:
             if block == "pressure":
                 plain, _ = self._built_in_pressure(points, c, [])
             else:
-                plain = laws.muscle_force(points, [], Context(c, self.order))
+                plain = laws.muscle_force(points, [], replace(self._plain_context, constants=c))
             kept = self._plain[block] = (c, plain)
         return predicted - kept[1]
 
     def _force(self, points: Points, c: PlantConstants, active: Active) -> Array:
         context = self.context(c, active)
         pull = self.pull("force", points, c, active) - self._rest(points, active, context)
-        force = laws.force_read(pull, active)
+        force = laws.force_read(pull, active, context)
         for term in terms(active):
             if term.diagnosis.force_shown is not None:
                 force = term.diagnosis.force_shown(force, points, term.amount)
@@ -198,7 +200,8 @@ class Model:
     def _load(self, points: Points, c: PlantConstants, active: Active) -> Array:
         context = self.context(c, active)
         asked = laws.load_pull(points, active, context)
-        given = laws.force_true(points.reading, active) + self._rest(points, active, context)
+        given = laws.force_true(points.reading, active, context)
+        given = given + self._rest(points, active, context)
         without = np.isnan(given)
         if without.any():
             given = np.where(without, self.pull("load", points, c, active), given)

@@ -180,7 +180,7 @@ class Chain:
         points = self._points.get("load")
         if points is not None:
             required, pull = self._pulls(points, c, active)
-            read = laws.force_true(points.reading, active)
+            read = laws.force_true(points.reading, active, problem.model.context(c, active))
             there = np.isfinite(read)
             made["load"] = (
                 np.where(there, read, required) - pull, np.where(there, required - read, 0.0),
