@@ -108,6 +108,12 @@ def _flows(
     return flow_in, flow_out, share
 
 
+_HEAT_AT_PA = 4e5
+"""Absolute pressure at which the time is stated in which the gas takes the wall's temperature."""
+_LEAST_SHARE = 0.05
+"""Share of the atmosphere below which no gas in a muscle is."""
+
+
 @called
 def _advance(
     q: Any, s: Any, span: float, v0: float, v1: float, supply: float, inlet: bool, outlet: bool,
@@ -135,9 +141,14 @@ def _advance(
         # Most of a record is quiet: nothing flows, and the gas follows the volume in one step.
         if not quiet:
             flow_in, flow_out, share = _flows(q, p, supply, inlet, outlet, s[3], scale)
+            warm = 1.0
+            if q[stage.HEAT_BY_MASS] > 0.0 and flow_out > 0.0:
+                # What leaves is as warm as what stays, and warm gas is thinner.
+                warm = (p + at) / max(s[1] + at, _LEAST_SHARE * at)
+                flow_out /= math.sqrt(warm)
             # A hose that widens takes gas as if the volume were larger by this much.
             wide = q[stage.ELASTIC] * (2.0 * max(p, 0.0) + at)
-            rate = k * heat * (flow_in - flow_out) / (v + wide) - k * (p + at) * slope / v
+            rate = k * heat * (flow_in - warm * flow_out) / (v + wide) - k * (p + at) * slope / v
             if q[stage.LINE] > 0.0:
                 rate -= q[stage.LINE] / v * (p - s[4]) / q[stage.LINE_TIME]
             # A step changes the pressure by a third of what drives the flow, at most.
@@ -159,8 +170,11 @@ def _advance(
         else:
             p_try = max(p + h * rate, -0.95 * at)
             in2, out2, share = _flows(q, p_try, supply, inlet, outlet, s[3], scale)
+            out2 /= math.sqrt(warm)
             wide = q[stage.ELASTIC] * (2.0 * max(p_try, 0.0) + at)
-            rate2 = k * heat * (in2 - out2) / (v_next + wide) - k * (p_try + at) * slope / v_next
+            rate2 = (
+                k * heat * (in2 - warm * out2) / (v_next + wide) - k * (p_try + at) * slope / v_next
+            )
             if q[stage.LINE] > 0.0:
                 rate2 -= q[stage.LINE] / v_next * (p_try - s[4]) / q[stage.LINE_TIME]
             p1 = p + 0.5 * h * (rate + rate2)
@@ -175,7 +189,10 @@ def _advance(
         if q[stage.LINE] > 0.0:
             s[4] += (p - s[4]) * (1.0 - math.exp(-h / q[stage.LINE_TIME]))
         if q[stage.HEAT_RATE] > 0.0:
-            p1 += (iso - p1) * (1.0 - math.exp(-h * q[stage.HEAT_RATE]))
+            pace = q[stage.HEAT_RATE]
+            if q[stage.HEAT_BY_MASS] > 0.0:
+                pace *= _HEAT_AT_PA / max(iso + at, _LEAST_SHARE * at)
+            p1 += (iso - p1) * (1.0 - math.exp(-h * pace))
         target = q[stage.DROOP] * share if inlet else 0.0
         droop_time = q[stage.DROOP_TIME]
         if target < s[3] and q[stage.DROOP_BACK] > 0.0:

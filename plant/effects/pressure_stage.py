@@ -27,4 +27,5 @@ LINE_TIME = PARAMS_SIZE + 14  # s
 INLET_DROP = PARAMS_SIZE + 15  # change of the areas at 500 kPa over the valve
 OUTLET_DROP = PARAMS_SIZE + 16
 SUPPLY_SHIFT = PARAMS_SIZE + 17  # Pa
+HEAT_BY_MASS = PARAMS_SIZE + 18  # 1 where the heat that the gas holds counts
 SIZE = PARAMS_SIZE + 20

@@ -16,6 +16,7 @@ def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
 def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
     params[layout.EXPONENT] += amount
     params[stage.HEAT_RATE] = 1.0 / shape["heat_s"] if "heat_s" in shape else 0.0
+    params[stage.HEAT_BY_MASS] = shape.get("mass", 0.0)
 
 
 POLYTROPIC = Effect(
@@ -39,10 +40,19 @@ POLYTROPIC = Effect(
         step=0.02,
         sign=1,
         blocks=("pressure",),
-        shapes=({}, {"heat_s": 0.2}, {"heat_s": 1.0}, {"heat_s": 5.0}),
+        # With `mass`, the energy balance of the gas in the muscle (Carneiro and Almeida 2006): the
+        # more of it there is, the longer the wall takes to cool it, and it leaves as warm as it is.
+        shapes=(
+            {},
+            {"heat_s": 0.2},
+            {"heat_s": 1.0},
+            {"heat_s": 5.0},
+            {"heat_s": 0.1, "mass": 1.0},
+        ),
         # Air in a tube 10 mm wide takes the wall's temperature within seconds (r^2 / 5.8 of its
-        # thermal diffusivity, 1 s at 5 bar); what falls for longer leaks.
-        free={"heat_s": (0.05, 6.0)},
+        # thermal diffusivity, 1 s at 5 bar), and within some hundredths where a jet stirs it; what
+        # falls for longer leaks.
+        free={"heat_s": (0.02, 6.0)},
         one_shape=True,
     ),
 )
