@@ -13,7 +13,11 @@ from gap.estimation.fit_problem import FitProblem
 from gap.model import force as laws
 from gap.model.clipping import at_lower_end
 from gap_bench import write_set
+from plant.constants import nominal
+from plant.effects.arguments import Context
 from test_gap_shapes import still
+
+CONTEXT = Context(nominal(), np.zeros(1))
 
 STEP_KPA = 0.244
 
@@ -54,10 +58,10 @@ def test_what_a_gauge_cannot_show_is_the_pressure_of_the_atmosphere() -> None:
     clipped = np.array([True, False, False])
     points = still(np.full(3, 60.0), pressure=np.array([0.0, 2e3, 3e5]), clipped=clipped)
     low = [("pressure_zero", "", -8.0, {})]
-    assert laws.true_pressure(points, low).tolist() == [0.0, 10e3, 308e3]
-    assert laws.true_pressure(points, []).tolist() == [0.0, 2e3, 3e5]
+    assert laws.true_pressure(points, low, CONTEXT).tolist() == [0.0, 10e3, 308e3]
+    assert laws.true_pressure(points, [], CONTEXT).tolist() == [0.0, 2e3, 3e5]
     high = [("pressure_zero", "", 2.0, {})]
-    assert laws.true_pressure(points, high)[0] == -2e3  # it shows more than is there
+    assert laws.true_pressure(points, high, CONTEXT)[0] == -2e3  # it shows more than is there
     assert np.array_equal(np.isnan(points.known_reading), clipped)
 
 

@@ -21,11 +21,11 @@ from gap.effects.terms import Active
 from gap.model import force as laws
 from plant.constants import nominal
 from plant.effects.arguments import Context
-from plant.effects.sensors.force_gain import FORCE_GAIN
+from plant.effects.sensors.linearity import POWERS, linearity
 
-CONTEXT = Context(nominal(), np.zeros(1), full_n=80.0)
+CONTEXT = Context(nominal(), np.zeros(1), full_n=80.0, full_pa=600e3)
 AMOUNTS = st.floats(-10.0, 10.0)
-BENDS = st.floats(*FORCE_GAIN.search.free["power"])
+BENDS = st.floats(*POWERS)
 
 
 @given(AMOUNTS, BENDS)
@@ -48,6 +48,19 @@ def test_a_force_read_and_taken_back_is_the_force(
     force = np.linspace(-5.0, 80.0, 40)
     back = laws.force_true(laws.force_read(force, bent, CONTEXT), bent, CONTEXT)
     assert back == pytest.approx(force, abs=0.05)
+
+
+@given(AMOUNTS, BENDS)
+def test_a_gauge_is_straightened_as_it_bends(percent: float, power: float) -> None:
+    bent: Active = [("pressure_gain", "", percent, {"power": power})]
+    p = np.linspace(0.0, 600e3, 40)
+    shown = laws.gauge_shows(p, bent, CONTEXT)
+    assert laws.gauge_straightened(shown, bent, CONTEXT) == pytest.approx(p, abs=100.0)
+    assert shown[-1] == pytest.approx(600e3)  # the straight part has the whole error there
+
+
+def test_a_power_of_nothing_is_a_straight_scale() -> None:
+    assert np.all(linearity(np.linspace(-1.0, 9.0, 5), 9.0, 0.0) == 0.0)
 
 
 def cell_that_saturates(folder: Path, percent: float) -> DataSet:

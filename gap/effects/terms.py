@@ -33,7 +33,7 @@ class Term:
     sensors: InSensors
 
 
-_IN_PRESSURE = ("length", "camera", "gas", "pressure_shown")
+_IN_PRESSURE = ("length", "camera", "gas", "pressure_shown", "pressure_linearity")
 _ONLY_THERE = ("gas", "pressure_shown", "late", "largest_fall")
 
 

@@ -84,9 +84,9 @@ def _error(maps: list[Term], length: Array, c: PlantConstants) -> Array:
     return made
 
 
-def true_pressure(points: Points, active: Active) -> Array:
+def true_pressure(points: Points, active: Active, context: Context) -> Array:
     """Gauge pressure in Pa behind what was read."""
-    p = points.pressure
+    p = gauge_straightened(points.pressure, active, context)
     for term in terms(active):
         if term.diagnosis.pressure is not None:
             p = term.diagnosis.pressure(p, points, term.amount)
@@ -98,10 +98,45 @@ def true_pressure(points: Points, active: Active) -> Array:
     return np.where(points.clipped, np.minimum(p, 0.0), p) if points.clipped.any() else p
 
 
+def gauge_shows(straight: Array, active: Active, context: Context) -> Array:
+    """What a gauge shows where one with a straight scale would show `straight`, Pa."""
+    return _bent(straight, _gauge_bends(active), context)
+
+
+def gauge_straightened(shown: Array, active: Active, context: Context) -> Array:
+    """What a gauge with a straight scale would show where this one shows `shown`, Pa."""
+    return _straightened(shown, _gauge_bends(active), context)
+
+
+def _gauge_bends(active: Active) -> list[_Bend]:
+    on = [(term.diagnosis.pressure_linearity, term) for term in terms(active) if term.shape]
+    return [(bend, term) for bend, term in on if bend is not None]
+
+
+def _force_bends(active: Active) -> list[_Bend]:
+    on = [(term.diagnosis.force_linearity, term) for term in terms(active) if term.shape]
+    return [(bend, term) for bend, term in on if bend is not None]
+
+
+def _bent(straight: Array, bends: list[_Bend], context: Context) -> Array:
+    """What scales that bend show where straight ones show `straight`."""
+    shown = straight
+    for bend, term in bends:
+        shown = shown + bend(straight, term.amount, term.shape, context)
+    return shown
+
+
+def _straightened(shown: Array, bends: list[_Bend], context: Context) -> Array:
+    straight = shown
+    for _ in range(_STRAIGHTENED if bends else 0):
+        straight = straight + shown - _bent(straight, bends, context)
+    return straight
+
+
 def muscle_force(points: Points, active: Active, context: Context) -> Array:
     """True pull of the muscle in N at every point."""
     c = context.constants
-    p = true_pressure(points, active)
+    p = true_pressure(points, active, context)
     length = true_length(points, active, c)
     push, effective, braid = p, length, np.full(len(p), c.braid_length_m)
     acting = terms(active)
@@ -144,38 +179,18 @@ def rest_pull(points: Points, tared: Array, active: Active, context: Context) ->
     return np.where(np.isnan(tared), 0.0, pull)
 
 
-def _bends(active: Active) -> list[_Bend]:
-    on = [(term.diagnosis.force_linearity, term) for term in terms(active) if term.shape]
-    return [(bend, term) for bend, term in on if bend is not None]
-
-
-def _bent(straight: Array, bends: list[_Bend], context: Context) -> Array:
-    """What scales that bend show where straight ones show `straight`."""
-    shown = straight
-    for bend, term in bends:
-        shown = shown + bend(straight, term.amount, term.shape, context)
-    return shown
-
-
-def _straightened(shown: Array, bends: list[_Bend], context: Context) -> Array:
-    straight = shown
-    for _ in range(_STRAIGHTENED if bends else 0):
-        straight = straight + shown - _bent(straight, bends, context)
-    return straight
-
-
 def force_read(force: Array, active: Active, context: Context) -> Array:
     """What the force sensor shows at true force `force`."""
     for term in terms(active):
         if term.sensors.force is not None:
             gain, zero = term.sensors.force(term.amount)
             force = force * (1.0 + gain) + zero
-    return _bent(force, _bends(active), context)
+    return _bent(force, _force_bends(active), context)
 
 
 def force_true(reading: Array, active: Active, context: Context) -> Array:
     """True force behind a reading."""
-    reading = _straightened(reading, _bends(active), context)
+    reading = _straightened(reading, _force_bends(active), context)
     for term in reversed(terms(active)):
         if term.sensors.force is not None:
             gain, zero = term.sensors.force(term.amount)

@@ -23,7 +23,7 @@ from gap.model.signals import Signal, edges_of, moving, smooth_slope
 from gap.model.unobserved_flow import passing, unknown_gas
 from plant.arrays import Array
 from plant.effects.arguments import Points, Whole
-from plant.effects.reference import TEMPERATURE_C, TYPICAL_FORCE_N
+from plant.effects.reference import FULL_PRESSURE_PA, TEMPERATURE_C, TYPICAL_FORCE_N
 from plant.physics.muscle import braid_force, braid_force_slope, braid_volume, braid_volume_slope
 
 Mask = npt.NDArray[np.bool_]
@@ -140,12 +140,13 @@ def room_temperature(data: DataSet) -> float:
     return float(np.median(known[np.abs(known - nearest) <= _ONE_ROOM_K]))
 
 
-def full_force(data: DataSet) -> float:
-    """Largest force in N that was read, single spikes apart."""
-    read = [np.abs(trial["force_n"].value) for trial in data.trials if len(trial.get("force_n"))]
-    if not read:
-        return TYPICAL_FORCE_N
-    return max(float(np.quantile(np.concatenate(read), _SPIKES)), 1.0)
+def full_values(data: DataSet) -> tuple[float, float]:
+    """Largest force in N and gauge pressure in Pa that were read, single spikes apart."""
+    made = []
+    for name, usual in (("force_n", TYPICAL_FORCE_N), ("pressure_kpa", FULL_PRESSURE_PA * 1e-3)):
+        read = [np.abs(trial[name].value) for trial in data.trials if len(trial.get(name))]
+        made.append(float(np.quantile(np.concatenate(read), _SPIKES)) if read else usual)
+    return max(made[0], 1.0), max(made[1], 1.0) * 1e3
 
 
 _SPIKES = 0.99

@@ -14,7 +14,7 @@ from gap.model import force as laws
 from gap.model import pressure as chamber
 from gap.model.empirical import correction_at
 from gap.model.features import BLOCKS
-from gap.model.grid import Grid, full_force, room_temperature, trial_order
+from gap.model.grid import Grid, full_values, room_temperature, trial_order
 from gap.model.nominal import NominalPlant
 from gap.model.threads import each
 from plant.arrays import Array
@@ -68,7 +68,7 @@ class Model:
         self.order = trial_order(self.grid.data)
         data = self.grid.data
         self._plain_context = Context(
-            data.constants, self.order, None, room_temperature(data), full_force(data)
+            data.constants, self.order, None, room_temperature(data), *full_values(data)
         )
         tared_mm = [trial.tare_length_mm for trial in self.grid.data.trials]
         self.tared = 1e-3 * np.array(tared_mm, dtype=np.float64)
@@ -236,12 +236,14 @@ class Model:
         supply = grid.supply
         out = np.empty(len(points.reading))
         fall = np.zeros(1)
-        reading = np.ascontiguousarray(points.known_reading)
+        context = replace(self._plain_context, constants=c)
+        straight = laws.gauge_straightened(points.known_reading, active, context)
+        reading = np.ascontiguousarray(straight)
         chamber.predict(
             q, points.first, points.time_s, reading, length, supply, grid.first_edge,
             grid.edge_s, grid.edge_to, grid.edge_of, out, fall,
         )  # fmt: skip
-        return out, float(fall[0])
+        return laws.gauge_shows(out, active, context), float(fall[0])
 
     def _parameters(self, c: PlantConstants, active: Active) -> Array:
         return chamber.parameters(c, active, self.grid.data.constants.supply_pa)

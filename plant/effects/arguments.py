@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from plant.constants import PlantConstants
-from plant.effects.reference import TEMPERATURE_C, TYPICAL_FORCE_N
+from plant.effects.reference import FULL_PRESSURE_PA, TEMPERATURE_C, TYPICAL_FORCE_N
 
 Values = Mapping[str, float | str]
 """The parameters of an effect in force, by name, in the units of their names."""
@@ -90,7 +90,8 @@ class Context:
         law: nominal pull in N at gauge pressure in Pa and length in m; None for that of the
             braid.
         room_c: temperature at which the nominal plant holds.
-        full_n: largest force in the data, where the error of a scale that bends is stated.
+        full_n, full_pa: largest force and gauge pressure in the data, where the error of a scale
+            that bends is stated.
     """
 
     constants: PlantConstants
@@ -98,3 +99,4 @@ class Context:
     law: Callable[[Array, Array], Array] | None = None
     room_c: float = TEMPERATURE_C
     full_n: float = TYPICAL_FORCE_N
+    full_pa: float = FULL_PRESSURE_PA

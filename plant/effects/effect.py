@@ -144,6 +144,7 @@ class InDiagnosis:
         at_rest: whether `force` needs neither pressure nor a past, so that a tare takes it away.
         force_linearity: (force, amount, shape, context) -> N by which a reading is off a straight
             scale; zero for the shape without numbers.
+        pressure_linearity: the same for a gauge, Pa.
         force_shown: (force, points, amount) -> force after what the record does to it.
         pressure_shown: (pressure, points, amount) -> pressure after what the record does to it.
         mass: (points, amount, shape, constants) -> kg beside the stated load.
@@ -164,6 +165,7 @@ class InDiagnosis:
     force: Callable[[Points, Array, Array, Array, Shape, Context], Array] | None = None
     at_rest: bool = False
     force_linearity: Callable[[Array, float, Shape, Context], Array] | None = None
+    pressure_linearity: Callable[[Array, float, Shape, Context], Array] | None = None
     force_shown: Callable[[Array, Points, float], Array] | None = None
     pressure_shown: Callable[[Array, Points, float], Array] | None = None
     mass: Callable[[Points, float, Shape, PlantConstants], Array] | None = None

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from plant.effects.arguments import Array, Context, Shape
 from plant.effects.effect import EachTrial, Effect, InDiagnosis, InSensors, Parameter, Search
+from plant.effects.sensors.linearity import POWERS, linearity
 from plant.effects.standards import WEIGHTS
 
 
 def _linearity(force: Array, amount: float, shape: Shape, context: Context) -> Array:
-    """Error of a cell whose scale changes over its range, beyond that of a straight one, N.
-
-    The scale is off by a share that grows with a power of the force: a linearity error between
-    zero and the full value (IEC 61298-2).
-    """
-    share = np.abs(force / context.full_n) ** shape.get("power", 0.0)
-    return amount / 100.0 * force * (share - 1.0)
+    return amount / 100.0 * linearity(force, context.full_n, shape.get("power", 0.0))
 
 
 def _reading(amount: float) -> tuple[float, float]:
@@ -46,6 +39,6 @@ FORCE_GAIN = Effect(
         sign=0,
         blocks=("force", "load"),
         shapes=({}, {"power": 1.0}),
-        free={"power": (0.3, 3.0)},
+        free={"power": POWERS},
     ),
 )

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from plant.effects import pressure_stage as stage
-from plant.effects.arguments import Params, Shape
+from plant.effects.arguments import Array, Context, Params, Shape
 from plant.effects.effect import EachTrial, Effect, InDiagnosis, InSensors, Parameter, Search
+from plant.effects.sensors.linearity import POWERS, linearity
 from plant.effects.standards import GAUGE
+
+
+def _linearity(p: Array, amount: float, shape: Shape, context: Context) -> Array:
+    return amount / 100.0 * linearity(p, context.full_pa, shape.get("power", 0.0))
 
 
 def _reading(amount: float) -> tuple[float, float]:
@@ -34,6 +39,12 @@ PRESSURE_GAIN = Effect(
     each_trial=(EachTrial("pressure gain", 0.3, ("pressure", "force", "load")),),
     reference=(GAUGE, 0.15),
     sensors=InSensors(pressure=_reading),
-    diagnosis=InDiagnosis(gas=_gas),
-    search=Search(step=0.5, sign=0, blocks=("pressure", "force", "load")),
+    diagnosis=InDiagnosis(gas=_gas, pressure_linearity=_linearity),
+    search=Search(
+        step=0.5,
+        sign=0,
+        blocks=("pressure", "force", "load"),
+        shapes=({}, {"power": 1.0}),
+        free={"power": POWERS},
+    ),
 )
