@@ -16,8 +16,10 @@ from gap.effects.terms import Active, Term, terms
 from plant.arrays import Array
 from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
 from plant.effects.arguments import Context, Points, Shape
+from plant.effects.effect import InDiagnosis
 
-_Bend = tuple[Callable[[Array, float, Shape, Context], Array], Term]
+_Linearity = Callable[[Array, float, Shape, Context], Array]
+_Bend = tuple[_Linearity, Term]
 """How a scale bends, and the effect in force that bends it."""
 
 _INVERTED = 5
@@ -100,22 +102,26 @@ def true_pressure(points: Points, active: Active, context: Context) -> Array:
 
 def gauge_shows(straight: Array, active: Active, context: Context) -> Array:
     """What a gauge shows where one with a straight scale would show `straight`, Pa."""
-    return _bent(straight, _gauge_bends(active), context)
+    return _bent(straight, _bends(active, _of_gauge), context)
 
 
 def gauge_straightened(shown: Array, active: Active, context: Context) -> Array:
     """What a gauge with a straight scale would show where this one shows `shown`, Pa."""
-    return _straightened(shown, _gauge_bends(active), context)
+    return _straightened(shown, _bends(active, _of_gauge), context)
 
 
-def _gauge_bends(active: Active) -> list[_Bend]:
-    on = [(term.diagnosis.pressure_linearity, term) for term in terms(active) if term.shape]
+def _bends(active: Active, of: Callable[[InDiagnosis], _Linearity | None]) -> list[_Bend]:
+    """The bends of one sensor; a shape without numbers is a straight scale."""
+    on = [(of(term.diagnosis), term) for term in terms(active) if term.shape]
     return [(bend, term) for bend, term in on if bend is not None]
 
 
-def _force_bends(active: Active) -> list[_Bend]:
-    on = [(term.diagnosis.force_linearity, term) for term in terms(active) if term.shape]
-    return [(bend, term) for bend, term in on if bend is not None]
+def _of_gauge(on: InDiagnosis) -> _Linearity | None:
+    return on.pressure_linearity
+
+
+def _of_cell(on: InDiagnosis) -> _Linearity | None:
+    return on.force_linearity
 
 
 def _bent(straight: Array, bends: list[_Bend], context: Context) -> Array:
@@ -185,12 +191,12 @@ def force_read(force: Array, active: Active, context: Context) -> Array:
         if term.sensors.force is not None:
             gain, zero = term.sensors.force(term.amount)
             force = force * (1.0 + gain) + zero
-    return _bent(force, _force_bends(active), context)
+    return _bent(force, _bends(active, _of_cell), context)
 
 
 def force_true(reading: Array, active: Active, context: Context) -> Array:
     """True force behind a reading."""
-    reading = _straightened(reading, _force_bends(active), context)
+    reading = _straightened(reading, _bends(active, _of_cell), context)
     for term in reversed(terms(active)):
         if term.sensors.force is not None:
             gain, zero = term.sensors.force(term.amount)
