@@ -110,6 +110,9 @@ def _flows(
 
 _HEAT_AT_PA = 4e5
 """Absolute pressure at which the time is stated in which the gas takes the wall's temperature."""
+_LONGEST_S = 2e-3
+_LONGEST_SHUT_S = 2e-2
+"""Longest steps, s, with a valve open and with both shut: a leak alone is slow."""
 _LEAST_SHARE = 0.05
 """Share of the atmosphere below which no gas in a muscle is."""
 
@@ -158,15 +161,19 @@ def _advance(
             if outlet or q[stage.LEAK] > 0.0:
                 drive = min(drive, abs(p) + 200.0)
             h = min(left, max(0.3 * drive / (abs(rate) + 1.0), 2e-5))
-            h = min(h, 2e-3)
+            h = min(h, _LONGEST_S if inlet or outlet else _LONGEST_SHUT_S)
         if q[stage.LINE] > 0.0:
             h = min(h, 0.3 * q[stage.LINE_TIME])
         if q[stage.DROOP_TIME] > 0.0 and inlet:
             h = min(h, 0.3 * q[stage.DROOP_TIME])
         v_next = v + slope * h
         if quiet:
-            p1 = (p + at) * (v / v_next) ** k - at if slope != 0.0 else p
-            iso = (s[1] + at) * v / v_next - at
+            squeezed = v / v_next
+            iso = (s[1] + at) * squeezed - at
+            p1 = p
+            if slope != 0.0:
+                # A power takes as long as all the rest of a step; isothermal gas needs none.
+                p1 = (p + at) * (squeezed if k == 1.0 else squeezed**k) - at
         else:
             p_try = max(p + h * rate, -0.95 * at)
             in2, out2, share = _flows(q, p_try, supply, inlet, outlet, s[3], scale)
