@@ -12,8 +12,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+import numpy.typing as npt
+
 from gap.data.trial import Channel, Trial
 from plant.arrays import Array
+
+Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -29,6 +34,32 @@ class Parameter:
     name: str
     nominal: float
     tolerance: float
+
+
+@dataclass(frozen=True)
+class Domain:
+    """Where a force law holds: lowest and highest pressure in kPa, and length in mm.
+
+    Beyond it the law may be off by any amount, so nothing is compared there.
+    """
+
+    pressure_kpa: tuple[float, float]
+    length_mm: tuple[float, float]
+
+    def holds(self, pressure_kpa: Array, length_mm: Array) -> Mask:
+        """Whether points lie inside, or beyond it by no more than a sensor's zero may move them."""
+        inside = np.ones(np.broadcast(pressure_kpa, length_mm).shape, dtype=bool)
+        for value, (low, high), least in (
+            (pressure_kpa, self.pressure_kpa, _LEAST_KPA), (length_mm, self.length_mm, _LEAST_MM),
+        ):  # fmt: skip
+            margin = max(_MARGIN * (high - low), least)
+            inside &= (value >= low - margin) & (value <= high + margin)
+        return inside
+
+
+_MARGIN = 0.02
+"""Share of the extent by which a point may lie beyond it."""
+_LEAST_KPA, _LEAST_MM = 3.0, 0.3
 
 
 @dataclass(frozen=True)
@@ -140,3 +171,26 @@ class StaticForce(Protocol):
             parameters: by name, in the units of the names.
         """
         ...
+
+
+@runtime_checkable
+class LimitedForce(Protocol):
+    """A force stage that holds at some pressures and lengths only."""
+
+    @property
+    def domain(self) -> Domain | None:
+        """Where it holds; None where nothing is said."""
+        ...
+
+
+def domain_of(simulator: Simulator | None) -> Domain | None:
+    """Where the force of a simulator holds; None where nothing is said."""
+    return simulator.domain if isinstance(simulator, LimitedForce) else None
+
+
+def compared(simulator: Simulator | None, pressure_kpa: Array, length_mm: Array) -> Mask:
+    """Which points of a force may be compared with a simulator; all where none limits them."""
+    domain = domain_of(simulator)
+    if domain is None:
+        return np.ones(np.broadcast(pressure_kpa, length_mm).shape, dtype=bool)
+    return domain.holds(pressure_kpa, length_mm)

@@ -21,6 +21,12 @@ _NEAR_STOP_M = 0.8e-3
 _AFTER_STOP_S = 0.08
 _RISE_KPA = 25.0
 _FRAME_NOISE_M = 0.015e-3
+_MOST_FRAME_NOISE_M = 0.1e-3
+_CALM_SHARE = 0.25
+# Noise of an acceleration as `_length_of` has it, over that of a second difference alone.
+_OF_BEND = 1.7
+# What white noise of one sd makes of a fourth difference, and the quartile of its absolute value.
+_OF_FOURTH = float(np.sqrt(70.0)) * 0.3186
 # Three sd of what white noise of one sd makes of a second difference's second difference.
 _NOISE_OF_BEND = 9.0
 # Stops stand where they should to half a millimetre (docs/reference/plant.md): three sd of that.
@@ -107,7 +113,8 @@ class Signal:
         stops = (constants.length_min_m + _NEAR_STOP_M, constants.length_max_m - _NEAR_STOP_M)
         return cls(
             trial, held, loaded, _regulated(trial), held or len(camera) > 0,
-            time_s, length, rate, acceleration, stops, _doubts(time_s, acceleration),
+            time_s, length, rate, acceleration, stops,
+            _doubts(time_s, acceleration, max(_FRAME_NOISE_M, _frame_noise(length))),
             _give_of_stops(trial, constants),
         )  # fmt: skip
 
@@ -229,6 +236,16 @@ class Signal:
         return self._interpolated(time_s, _swing(self._time, self._length))
 
     @property
+    def bend_noise_m_s2(self) -> float:
+        """One sd in m/s2 of what a camera's noise of one frame adds to its neighbours' acceleration.
+
+        To its own it adds twice as much with the other sign.
+        """
+        if self.held or self.trial.settled or len(self._time) < 5:
+            return 0.0
+        return _OF_BEND * _frame_noise(self._length) * self.frame_rate_hz**2
+
+    @property
     def frame_rate_hz(self) -> float:
         """Frames a second of the length; infinite where it is held."""
         if self.held or len(self._time) < 3:
@@ -334,7 +351,18 @@ def _length_of(trial: Trial, camera: Channel, held: bool) -> tuple[Array, Array,
     return t, length, np.asarray(spline(t, 1)), 0.5 * (bend + np.asarray(spline(t, 2)))
 
 
-def _doubts(time_s: Array, acceleration: Array) -> tuple[Array, Array]:
+def _frame_noise(length: Array) -> float:
+    """One sd in m of a camera's own noise, from fourth differences in the calmer part of a trial.
+
+    A motion that frames follow leaves next to nothing in them.
+    """
+    if len(length) < _FEWEST_FRAMES:
+        return 0.0
+    rough = float(np.quantile(np.abs(np.diff(length, 4)), _CALM_SHARE))
+    return min(rough / _OF_FOURTH, _MOST_FRAME_NOISE_M)
+
+
+def _doubts(time_s: Array, acceleration: Array, noise_m: float) -> tuple[Array, Array]:
     """What is lost between frames of a bouncing load, from how rough the acceleration is.
 
     A kink of the motion costs h² / 8 times the roughness in length. What the camera's own noise
@@ -343,7 +371,7 @@ def _doubts(time_s: Array, acceleration: Array) -> tuple[Array, Array]:
     if len(time_s) < 5 or not np.any(acceleration):
         return np.zeros(len(time_s)), np.zeros(len(time_s))
     step = np.gradient(time_s)
-    quiet = _NOISE_OF_BEND * _FRAME_NOISE_M / np.maximum(step, 1e-4) ** 2
+    quiet = _NOISE_OF_BEND * noise_m / np.maximum(step, 1e-4) ** 2
     rough = np.zeros(len(time_s))
     rough[1:-1] = np.abs(acceleration[1:-1] - 0.5 * (acceleration[:-2] + acceleration[2:]))
     rough = np.maximum(rough - quiet, 0.0)
@@ -354,6 +382,7 @@ def _doubts(time_s: Array, acceleration: Array) -> tuple[Array, Array]:
     return spread(spread(rough * step**2 / 8.0)), spread(0.5 * rough)
 
 
+_FEWEST_FRAMES = 20
 _SWING_FRAMES = 5
 _END_FRAMES = 4
 

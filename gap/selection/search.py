@@ -39,6 +39,7 @@ from gap.selection.inclusion import (
     own_channels,
     same_family,
     step_statistics,
+    visibility,
 )
 from gap.verdict import Rejection, WhyNot
 from plant.arrays import Array
@@ -175,7 +176,7 @@ def _forward_step(
     if before.keys:
         passed, search = _passed(problem, search, tried, config)
     else:
-        passed = [h for h in tried if before.cost - h.cost >= search.alarm]
+        passed = [h for h in tried if _stands_out(problem, search, h, config)]
     if not passed:
         return search, linear
     first = passed[0]
@@ -207,6 +208,22 @@ def _is_alarm(
     return gain >= config.sure_gain or (
         held_out_gain(problem, key)[0] >= config.held_out_share * gain
     )
+
+
+def _stands_out(
+    problem: FitProblem, search: SearchResult, first: Hypothesis, config: SelectionConfig
+) -> bool:
+    """Whether a first effect gains enough; where the nominal's form errs, it must also be visible.
+
+    What is known of the size of such an error is no more than a rough figure.
+    """
+    before = search.best
+    if before.cost - first.cost < search.alarm:
+        return False
+    nominal = problem.model.nominal
+    if nominal is None or nominal.error is None:
+        return True
+    return visibility(problem, before.fit, first.fit) >= config.further_visibility
 
 
 def _worth_fitting(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gap.data.simulator import Parameter, Stage
+from gap.data.simulator import Domain, Parameter, Stage
 from gap.data.trial import Trial
 from gap.errors import GapError
 from gap.simulators.description import Description, read_table_of
@@ -63,6 +63,21 @@ class _Law(External):
         self._bounds = {name: (p.low, p.high) for name, p in names.items()}
         self._own = {name: p.name for name, p in names.items()}
         self._temperature_c = about.number("temperature_c", ROOM_C)
+        self._fitted = about.text("model").endswith(".toml")
+
+    @property
+    def domain(self) -> Domain | None:
+        """Pressures and lengths of the points that the law of a model file was fitted to.
+
+        A law that ships goes with the numbers of another muscle.
+        """
+        known = self.model.domain
+        if not self._fitted:
+            return None
+        return Domain(
+            (known.pressure_kpa[0], known.pressure_kpa[1]),
+            (known.length_mm[0], known.length_mm[1]),
+        )
 
     def _q(self, values: Mapping[str, float]) -> Array:
         # A parameter that was fitted to its bound has an interval beyond it, where no law holds.
@@ -71,6 +86,10 @@ class _Law(External):
             for name, value in values.items()
         }
         return self.model.with_values(own).q
+
+    def _pull(self, force: Array) -> Array:
+        """A muscle hangs loose where a law that only pulls is negative."""
+        return np.maximum(force, 0.0) if self.model.pulls_only else force
 
     def _inputs(self, pressure_kpa: Array, length_mm: Array) -> tuple[Array, Array, Array]:
         p, length = pressure_kpa.ravel() * 1e3, length_mm.ravel() * 1e-3
@@ -87,7 +106,7 @@ class StaticLaw(_Law, StaticExternal):
             force = static_force(
                 self.model.law, self._q(values), *self._inputs(pressure_kpa, length_mm)
             )
-        return np.asarray(force).reshape(pressure_kpa.shape)
+        return self._pull(np.asarray(force)).reshape(pressure_kpa.shape)
 
     def _name(self) -> str:
         return f"the law {self.model.name}"
@@ -115,7 +134,7 @@ class LawWithMemory(_Law):
                 f"the law {self.model.name} has no finite force at {p[bad[0]]:.6g} kPa and "
                 f"{length[bad[0]]:.6g} mm",
             )
-        return np.asarray(force)
+        return self._pull(np.asarray(force))
 
 
 def _with_fit(about: Description, model: Model, path: Path | None) -> Description:

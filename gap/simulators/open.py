@@ -7,9 +7,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gap.data.dataset import DataSet
 from gap.data.from_runs import open_data
-from gap.data.simulator import ExternalSimulator
+from gap.data.simulator import ExternalSimulator, Mask, domain_of
 from gap.errors import GapError
 from gap.simulators.description import Description, described, read_description
 from gap.simulators.external import External
@@ -87,7 +89,35 @@ def with_simulator(data: DataSet, source: str | Path | ExternalSimulator | None)
         )  # fmt: skip
     stated = simulator.effects if isinstance(simulator, External) else NONE
     effects = Effects({**data.effects.values, **stated.values})
-    return dataclasses.replace(data, simulator=simulator, effects=effects)
+    notes = (*data.notes, *_beyond_domain(data, simulator))
+    return dataclasses.replace(data, simulator=simulator, effects=effects, notes=notes)
+
+
+def _beyond_domain(data: DataSet, simulator: ExternalSimulator) -> list[str]:
+    """What share of the forces is not compared, because the law says nothing there."""
+    domain = domain_of(simulator)
+    if domain is None:
+        return []
+    outside: list[Mask] = []
+    for trial in data.trials:
+        force, pressure, length = (trial.get(n) for n in ("force_n", "pressure_kpa", "length_mm"))
+        held = np.isfinite(trial.held_length_mm)
+        if not len(force) or not len(pressure) or not (held or len(length)):
+            continue
+        at = force.time_s
+        p = np.interp(at, pressure.time_s, pressure.value)
+        here = np.full(len(at), trial.held_length_mm)
+        if not held:
+            here = np.interp(at, length.time_s, length.value)
+        outside.append(~domain.holds(p, here))
+    share = float(np.concatenate(outside).mean()) if outside else 0.0
+    if share == 0.0:
+        return []
+    (p_low, p_high), (l_low, l_high) = domain.pressure_kpa, domain.length_mm
+    return [
+        f"{100.0 * share:.0f} % of the forces are not compared: they lie beyond the domain of the "
+        f"law, {p_low:.4g} to {p_high:.4g} kPa and {l_low:.4g} to {l_high:.4g} mm"
+    ]
 
 
 def open_data_with(data: Path, simulator: Path | None) -> DataSet:
