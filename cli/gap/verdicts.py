@@ -301,7 +301,9 @@ def _gap_text(verdict: Verdict) -> list[str]:
     if gap is None:
         return []
     lines = [_gap_line("gap", gap)]
-    if gap.closed is not None and gap.closed_low is not None and gap.closed_high is not None:
+    if gap.closed is not None and gap.closed < 0.0:
+        lines.append("closed      nothing: held out, the effects predict no better than the plant")
+    elif gap.closed is not None and gap.closed_low is not None and gap.closed_high is not None:
         ends = [f"{100 * end:.0f}" for end in (gap.closed_low, gap.closed_high)]
         between = f" ({ends[0]} to {ends[1]} %)" if ends[0] != ends[1] else ""
         lines.append(f"closed      {100 * gap.closed:.0f} % of the gap{between}")

@@ -25,7 +25,7 @@ _QUANTITIES += ("load", "start", "mass")
 _LIMITS = {
     "pressure_kpa": (-1000.0, 10000.0),
     "supply_kpa": (-1000.0, 12000.0),
-    "force_n": (-2000.0, 2000.0),
+    "force_n": (-10000.0, 10000.0),
     "temperature_c": (-100.0, 600.0),
     "load_kg": (0.0, 1000.0),
     "time_s": (-1e9, 1e9),
