@@ -18,8 +18,12 @@ import pytest
 from gap.data.reader import read_dataset
 from gap.data.simulator import StaticForce, domain_of
 from gap.decision.diagnose import diagnose
+from gap.effects.candidates import CANDIDATES
+from gap.effects.terms import Active
+from gap.estimation.fit_problem import FitProblem
 from gap.model.grid import make_grid
 from gap.model.nominal import ModelError, Prior
+from gap.model.sensitivities import nominal_columns, nominal_shift
 from gap.simulators.open import open_simulator, with_simulator
 from gap_sets import settled_set
 from gap_simulators import Array, StaticBraid, braid
@@ -100,3 +104,25 @@ def test_parameters_of_a_form_that_errs_are_known_less_well(error_n: float, time
     )
     root = Prior.of(one).root
     assert np.diag(root) == pytest.approx(times * np.array([0.2, 0.01]), rel=0.01)
+
+
+def test_slopes_of_an_error_are_those_of_its_predictions(tmp_path: Path) -> None:
+    """Two predictions tell of all terms, with sensors in error between the pull and the reading."""
+    data = read_dataset(settled_set(tmp_path / "set", {}))
+    bent = dataclasses.replace(data, simulator=braid(model_error_n=1.5))
+    model = FitProblem.of(bent, list(CANDIDATES)).model
+    active: Active = [
+        ("force_gain", "", 8.0, {}), ("pressure_gain", "", 5.0, {}), ("fibre_stretch", "", 1.0, {"power": 1.0}),
+    ]  # fmt: skip
+    c = data.constants
+    columns = nominal_columns(model, c, active)
+    first = columns.shape[1] - model.error_columns(c, active).shape[1]  # type: ignore[union-attr]
+    assert first == 2
+    for number in (first, first + 5):
+        step = np.zeros(columns.shape[1])
+        step[number] = 0.5
+        low, high = (
+            model.stacked(model.residual(c, [*active, *nominal_shift(sign * step)], ["force"]))
+            for sign in (-1.0, 1.0)
+        )
+        assert columns[:, number] == pytest.approx(low - high, abs=1e-9)

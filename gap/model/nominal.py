@@ -205,6 +205,7 @@ class NominalPlant:
             for block in ("force", "load")
             if self.error is not None and block in points
         }
+        self._beyond: dict[str, tuple[bytes, Array]] = {}
         self._run = {} if self.static else self._linearised(data)
 
     @property
@@ -239,7 +240,21 @@ class NominalPlant:
     def beyond(self, block: str, shift: Array) -> Array | None:
         """Error of the law's form at the points of a block, N; None where it has none."""
         terms = self._error_terms.get(block)
-        return None if terms is None else np.asarray(terms @ shift[len(self.prior.names) :])
+        if terms is None:
+            return None
+        own = shift[len(self.prior.names) :]
+        key = own.tobytes()
+        kept = self._beyond.get(block)
+        if kept is None or kept[0] != key:  # most predictions move something else
+            kept = self._beyond[block] = (key, np.asarray(terms @ own))
+        return kept[1]
+
+    def error_terms(self, block: str) -> Array | None:
+        """What one sd of each term of the law's error adds at the points of a block, N.
+
+        Shape (points, terms); None where it has none.
+        """
+        return self._error_terms.get(block)
 
     def predicted(self, block: str, shift: Array) -> Array | None:
         """Prediction of a simulator with memory at the points of a block: Pa or N.

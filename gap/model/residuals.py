@@ -143,6 +143,10 @@ class Model:
             total = np.add.reduceat(raw * points.weight, start)
         return np.asarray(total / points.row_weight)
 
+    def _means(self, points: Points, columns: Array) -> Array:
+        """Means over each row of columns at the points, shape (rows of the block, columns)."""
+        return np.stack([self._features(points, x) for x in columns.T], axis=1)
+
     def _rest(self, points: Points, active: Active, context: Context) -> Array:
         """What the last tare took away from each reading, N."""
         return laws.rest_pull(points, self.tared[points.trial], active, context)
@@ -154,9 +158,36 @@ class Model:
         law = self.nominal.law(self.nominal.shift(active))
         return replace(self._plain_context, constants=c, law=law)
 
-    def pull(self, block: str, points: Points, c: PlantConstants, active: Active) -> Array:
-        """True pull of the muscle in N at the points of a block, whatever they are fed with."""
-        pull = laws.muscle_force(points, active, self.context(c, active))
+    def error_columns(self, c: PlantConstants, active: Active) -> Array | None:
+        """What one sd of each term of the law's error adds to the readings, shape (rows, terms).
+
+        An error of the pull adds to a reading in proportion, so two predictions tell of all terms.
+        None where a recording is smoothed or late: a reading then takes from its neighbours.
+        """
+        nominal = self.nominal
+        count = nominal.error.count if nominal is not None and nominal.error is not None else 0
+        if any(term.diagnosis.force_shown is not None for term in terms(active)):
+            return None
+        columns = np.zeros((len(self.grid.rows), count))
+        for block, of in (("force", self._force), ("load", self._load)):
+            points = self.grid.points.get(block)
+            added = nominal.error_terms(block) if nominal is not None else None
+            if points is None or added is None:
+                continue
+            shown = of(points, c, active) - of(points, c, active, more_n=1.0)
+            rows = self._means(points, shown[:, None] * added) * SCALE[block]
+            at = self.grid.offset[block]
+            columns[at : at + len(rows)] = rows
+        return columns
+
+    def pull(
+        self, block: str, points: Points, c: PlantConstants, active: Active, more_n: float = 0.0
+    ) -> Array:
+        """True pull of the muscle in N at the points of a block, whatever they are fed with.
+
+        With `more_n` added to it.
+        """
+        pull = laws.muscle_force(points, active, self.context(c, active)) + more_n
         if self.nominal is None:
             return pull
         shift = self.nominal.shift(active)
@@ -188,23 +219,27 @@ class Model:
             kept = self._plain[block] = (c, plain)
         return predicted - kept[1]
 
-    def _force(self, points: Points, c: PlantConstants, active: Active) -> Array:
+    def _force(
+        self, points: Points, c: PlantConstants, active: Active, more_n: float = 0.0
+    ) -> Array:
         context = self.context(c, active)
-        pull = self.pull("force", points, c, active) - self._rest(points, active, context)
+        pull = self.pull("force", points, c, active, more_n) - self._rest(points, active, context)
         force = laws.force_read(pull, active, context)
         for term in terms(active):
             if term.diagnosis.force_shown is not None:
                 force = term.diagnosis.force_shown(force, points, term.amount)
         return points.reading - force
 
-    def _load(self, points: Points, c: PlantConstants, active: Active) -> Array:
+    def _load(
+        self, points: Points, c: PlantConstants, active: Active, more_n: float = 0.0
+    ) -> Array:
         context = self.context(c, active)
         asked = laws.load_pull(points, active, context)
         given = laws.force_true(points.reading, active, context)
         given = given + self._rest(points, active, context)
         without = np.isnan(given)
         if without.any():
-            given = np.where(without, self.pull("load", points, c, active), given)
+            given = np.where(without, self.pull("load", points, c, active, more_n), given)
         return asked - given
 
     def _camera(self, points: Points, c: PlantConstants, active: Active) -> Array:

@@ -116,7 +116,10 @@ def nominal_columns(model: Model, c: PlantConstants, active: Active) -> Array:
     at = model.nominal.shift(active)
     others = [one for one in active if one[0] != NOMINAL]
     columns = np.zeros((len(model.grid.rows), len(at)))
-    for number in range(len(at)):
+    errors = model.error_columns(c, active)
+    if errors is not None:
+        columns[:, len(at) - errors.shape[1] :] = errors
+    for number in range(len(at) - (errors.shape[1] if errors is not None else 0)):
         step = np.zeros(len(at))
         step[number] = 0.5
         low = model.residual(c, [*others, *nominal_shift(at - step)], there)

@@ -237,7 +237,7 @@ class Signal:
 
     @property
     def bend_noise_m_s2(self) -> float:
-        """One sd in m/s2 of what a camera's noise of one frame adds to its neighbours' acceleration.
+        """One sd in m/s2 of what a camera's noise of a frame adds to its neighbours' acceleration.
 
         To its own it adds twice as much with the other sign.
         """
