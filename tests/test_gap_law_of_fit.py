@@ -112,7 +112,8 @@ def test_slopes_of_an_error_are_those_of_its_predictions(tmp_path: Path) -> None
     bent = dataclasses.replace(data, simulator=braid(model_error_n=1.5))
     model = FitProblem.of(bent, list(CANDIDATES)).model
     active: Active = [
-        ("force_gain", "", 8.0, {}), ("pressure_gain", "", 5.0, {}), ("fibre_stretch", "", 1.0, {"power": 1.0}),
+        ("force_gain", "", 8.0, {}), ("pressure_gain", "", 5.0, {}),
+        ("fibre_stretch", "", 1.0, {"power": 1.0}),
     ]  # fmt: skip
     c = data.constants
     columns = nominal_columns(model, c, active)

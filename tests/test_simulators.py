@@ -14,6 +14,7 @@ from gap.simulators.cached import Cached
 from gap.simulators.inputs import time_axis, wanted_times
 from gap.simulators.law import parameter_name
 from gap.simulators.open import describe, open_simulator, stated_effects
+from gap.simulators.surface import Surface
 from plant.models import catalogue
 from simulator_files import (
     CHAMBER_FMU,
@@ -422,3 +423,39 @@ def test_every_kind_is_written_back(kind: str, tmp_path: Path) -> None:
 
 def test_nothing_is_wanted_where_nothing_was_measured() -> None:
     assert wanted_times(trial({"pressure_kpa": ([0.0], [0.0])}), FORCE_STAGE) is None
+
+
+@pytest.mark.parametrize("scattered", [False, True])
+def test_a_surface_knows_how_far_it_may_be_off_between_its_points(
+    scattered: bool, tmp_path: Path
+) -> None:
+    """A corner between two points, where a muscle goes slack, is what a coarse table misses."""
+
+    def table(step: float) -> Surface:
+        rng = np.random.default_rng(3)
+        p, x = (
+            a.ravel() for a in np.meshgrid(np.arange(0.0, 601.0, step), np.linspace(50.0, 70.0, 7))
+        )
+        if scattered:
+            p = np.clip(p + rng.uniform(-0.2, 0.2, len(p)) * step, 0.0, 600.0)
+        folder = tmp_path / f"{step:g}"
+        folder.mkdir()
+        force = np.maximum(p * (x - 45.0) / 100.0 - 20.0, 0.0)
+        pd.DataFrame({"pressure_kpa": p, "length_mm": x, "force_n": force}).to_csv(
+            folder / "surface.csv", index=False
+        )
+        opened = open_simulator(
+            write(folder, simulator_toml='kind = "surface"\ntable = "surface.csv"\n')
+        )
+        assert isinstance(opened, Surface)
+        return opened
+
+    def missed(surface: Surface) -> float:
+        p, x = (a.ravel() for a in np.meshgrid(np.linspace(10, 590, 117), np.linspace(51, 69, 37)))
+        true = np.maximum(p * (x - 45.0) / 100.0 - 20.0, 0.0)
+        return float(np.sqrt(np.mean((surface.force_n(p, x, {}) - true) ** 2)))
+
+    coarse, fine = table(100.0), table(20.0)
+    assert fine.rough_error_n < 0.3 * coarse.rough_error_n
+    assert 0.4 < coarse.rough_error_n / missed(coarse) < 4.0
+    assert "states no model_error_n" in coarse.notes[0]

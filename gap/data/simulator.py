@@ -194,3 +194,13 @@ def compared(simulator: Simulator | None, pressure_kpa: Array, length_mm: Array)
     if domain is None:
         return np.ones(np.broadcast(pressure_kpa, length_mm).shape, dtype=bool)
     return domain.holds(pressure_kpa, length_mm)
+
+
+@runtime_checkable
+class RoughForce(Protocol):
+    """A force stage whose error changes from point to point, as between the points of a table."""
+
+    @property
+    def rough_error_n(self) -> float:
+        """One sd of it in N: where it shows, nothing smaller can be seen."""
+        ...

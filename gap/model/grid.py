@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.data.dataset import DataSet
-from gap.data.simulator import compared
+from gap.data.simulator import RoughForce, compared
 from gap.data.trial import Channel, Trial
 from gap.model import bins
 from gap.model.clipping import CLIPPED_INPUT_KPA, CLIPPED_KPA
@@ -227,7 +227,11 @@ def _in_domain(piece: _Piece, data: DataSet) -> Mask:
 
 def _rough_error(data: DataSet) -> float:
     """What the error of a simulator's form, in N, has that is too fine for `nominal.ModelError`."""
-    return _ROUGH_SHARE * data.simulator.model_error_n if data.simulator is not None else 0.0
+    simulator = data.simulator
+    if simulator is None:
+        return 0.0
+    rough = simulator.rough_error_n if isinstance(simulator, RoughForce) else 0.0
+    return float(np.hypot(_ROUGH_SHARE * simulator.model_error_n, rough))
 
 
 _ROUGH_SHARE = 0.05

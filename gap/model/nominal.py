@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gap.data.dataset import DataSet
-from gap.data.simulator import ExternalSimulator, StaticForce
+from gap.data.simulator import ExternalSimulator, RoughForce, StaticForce
 from gap.data.trial import Channel, Trial
 from gap.effects.terms import NOMINAL, Active
 from gap.errors import GapError
@@ -207,6 +207,13 @@ class NominalPlant:
         }
         self._beyond: dict[str, tuple[bytes, Array]] = {}
         self._run = {} if self.static else self._linearised(data)
+
+    @property
+    def errs(self) -> bool:
+        """Whether the form of its force is known to be off."""
+        simulator = self.simulator
+        rough = simulator.rough_error_n if isinstance(simulator, RoughForce) else 0.0
+        return self.error is not None or rough > 0.0
 
     @property
     def static(self) -> bool:

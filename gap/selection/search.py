@@ -221,7 +221,7 @@ def _stands_out(
     if before.cost - first.cost < search.alarm:
         return False
     nominal = problem.model.nominal
-    if nominal is None or nominal.error is None:
+    if nominal is None or not nominal.errs:
         return True
     return visibility(problem, before.fit, first.fit) >= config.further_visibility
 

@@ -65,6 +65,11 @@ class External(ABC):
         return self.about.noise_n
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of a verdict should know of it."""
+        return ()
+
+    @property
     def origin(self) -> str:
         """The file that describes it."""
         return str(self.about.path)

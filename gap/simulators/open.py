@@ -89,7 +89,8 @@ def with_simulator(data: DataSet, source: str | Path | ExternalSimulator | None)
         )  # fmt: skip
     stated = simulator.effects if isinstance(simulator, External) else NONE
     effects = Effects({**data.effects.values, **stated.values})
-    notes = (*data.notes, *_beyond_domain(data, simulator))
+    of_simulator = simulator.notes if isinstance(simulator, External) else ()
+    notes = (*data.notes, *of_simulator, *_beyond_domain(data, simulator))
     return dataclasses.replace(data, simulator=simulator, effects=effects, notes=notes)
 
 

@@ -52,6 +52,24 @@ class Surface(StaticExternal):
             ) from None
         self._centre = unit.mean(axis=0)
         self._inside = _interpolator(unit, columns[2])
+        stated = "model_error_n" in about.table
+        self._between_n = 0.0 if stated else _error_between(unit, columns[2], self._hull)
+
+    @property
+    def rough_error_n(self) -> float:
+        """One sd of the error between the points in N, as points left out show it; 0 if stated."""
+        return self._between_n
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the error between the points is taken for, where nothing is stated."""
+        if self._between_n < _WORTH_A_NOTE_N:
+            return ()
+        return (
+            f"{self.about.path.name} states no model_error_n: the surface is taken to be off by "
+            f"{self._between_n:.2g} N between its points, half of what it misses points by that "
+            "are left out",
+        )
 
     def _law(
         self, pressure_kpa: Array, length_mm: Array, values: Mapping[str, float], trial: str
@@ -75,6 +93,36 @@ class Surface(StaticExternal):
 
     def _outside(self) -> str:
         return "the table must cover the measured pressures and lengths"
+
+
+_WORTH_A_NOTE_N = 0.01
+_FINER = 0.5
+"""Part of the error at points that are left out that is left once they are back: where the surface
+has a corner; where it is smooth, it is less."""
+_MOST_LEFT_OUT = 40
+
+
+def _error_between(unit: Array, force: Array, hull: Delaunay) -> float:
+    """Error in N of a surface between its points, one sd, from points that are left out in turn.
+
+    Of a grid whole lines are left out; points at its edges stay.
+    """
+    missed: list[Array] = []
+    x, y = np.unique(unit[:, 0]), np.unique(unit[:, 1])
+    if len(x) * len(y) == len(unit):
+        groups = [unit[:, axis] == at for axis, line in ((0, x), (1, y)) for at in line[1:-1]]
+    else:
+        edge = np.unique(hull.convex_hull)
+        inner = np.setdiff1d(np.arange(len(unit)), edge)
+        groups = [np.arange(len(unit)) == one for one in inner]
+    step = max(1, -(-len(groups) // _MOST_LEFT_OUT))
+    for out in groups[::step]:
+        if len(np.unique(unit[~out, 0])) < 2 or len(np.unique(unit[~out, 1])) < 2:
+            continue
+        missed.append(_interpolator(unit[~out], force[~out])(unit[out]) - force[out])
+    known = np.concatenate(missed) if missed else np.zeros(1)
+    known = known[np.isfinite(known)]
+    return _FINER * float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
 
 
 def _interpolator(unit: Array, force: Array) -> Callable[[Array], Array]:
