@@ -409,7 +409,8 @@ def _partly(
     """Some effects named, all others taken out, and the rest of the gap left unknown.
 
     An effect whose amount the data do not determine is not named; the others are, and are fitted
-    beside it. None where nothing is left to name.
+    beside it. None where nothing is left to name, or only what corrects the form of an effect that
+    is not named: without that one it explains little.
     """
     if not named:
         return None
@@ -417,6 +418,8 @@ def _partly(
     if len(named) < len(search.best.fit.ids):
         search = only_effects(case.problem, search, named)
     part = replace(case, search=search)
+    if part.share < case.config.least_of_whole * case.share:
+        return None
     undetermined = _undetermined(part, search.best.fit)
     named = tuple(name for name in named if name not in undetermined)
     if not named:
