@@ -32,6 +32,7 @@ from gap.decision.presence import (
     FEATURES,
     Evidence,
     evidence_of,
+    odds_of,
     only_effects,
     shipped_presence,
 )
@@ -131,6 +132,26 @@ def test_beside_two_effects_that_are_sure_a_third_is_named_sooner(
 ) -> None:
     odds = {"leak": 0.76, **dict(zip(TWO_MORE, others, strict=True))}
     assert _least("leak", odds, usual, DECISION) == least
+
+
+def sure_of(name: str, visibility: float) -> Evidence:
+    """An effect of which nothing makes doubt."""
+    return Evidence(
+        name, left=100.0, gap=1e5, lost=2e4, margin=2e4, slots=4.0, visibility=visibility,
+        shape_at_end=0.0, single=0.0, steady=20.0, unknown=0.0,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("form", ["dead_volume", "polytropic"])
+def test_a_conductance_that_may_only_correct_a_volume_is_not_sure(form: str) -> None:
+    """Five such names in eight campaigns of held-out forms; none of them was there."""
+    odds = odds_of([sure_of(form, 5.0), sure_of("flow_area", 1.0)])
+    assert odds[form] > 0.9
+    assert odds["flow_area"] == 0.75
+    plain = odds_of([sure_of(form, 5.0), sure_of("flow_area", 2.0)])
+    assert plain["flow_area"] > 0.9
+    alone = odds_of([sure_of("leak", 5.0), sure_of("flow_area", 1.0)])
+    assert alone["flow_area"] > 0.9
 
 
 def test_no_effect_that_is_likelier_there_than_a_named_one_stays_without_a_name() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from gap.decision.config import DECISION, DecisionConfig
 from gap.decision.confounders import Confounder, ConfounderSearch
 from gap.decision.posterior import credible_set, posterior
-from gap.decision.presence import evidence_of, only_effects, shipped_presence
+from gap.decision.presence import evidence_of, odds_of, only_effects
 from gap.decision.reliability import shipped_reliability
 from gap.decision.traits import traits_of
 from gap.design.advise import advise, more_replicates
@@ -146,9 +146,9 @@ def classify(
         further = with_further(problem, case.search)
         case = _judged(case, further)
         evidence = evidence_of(problem, further, case.reliability["unknown"])
-        odds = {one.id: shipped_presence().of(one) for one in evidence}
+        odds = odds_of(evidence)
         case, finding = _by_presence(case, _explained(case), further, odds)
-        presence = [one.as_dict() for one in evidence]
+        presence = [{**one.as_dict(), "probability": odds[one.id]} for one in evidence]
         finding = replace(finding, evidence={**finding.evidence, "presence": presence})
     else:
         finding = _unexplained(case)
