@@ -29,6 +29,7 @@ from gap.selection.candidate_fits import Hypothesis, fit_further, linear_gains
 from gap.selection.inclusion import excess_chi2, visibility
 from gap.selection.search import SearchResult
 from plant.arrays import Array
+from plant.effects.catalogue import CATALOGUE
 
 TOLD_APART = 0.03
 """Share of what the explanation leaves that the best other effect must leave beyond it. With less
@@ -117,21 +118,17 @@ def shipped_presence() -> Presence:
     return Presence(table["constant"], table["weights"])
 
 
-SHOWS_AS = {"dead_volume": "flow_area", "polytropic": "flow_area"}
-"""What an effect whose form is inexact shows as besides: a chamber fills by conductance over
-volume, and warm gas fills it sooner."""
 PLAIN = 1.5
 """Visibility, in floors, from which an effect is believed beside one that it may only correct."""
 OFFERED = 0.75
 """Most probability of such an effect that is less visible. Set on: campaigns 52000 to 52729 of the
-held-out forms, where `flow_area` was named beside one of the two five times, was never there, and
-took up to 1.2 floors."""
+held-out forms, where a conductance was named beside a volume or a gas five times, was never there,
+and took up to 1.2 floors."""
 
 
 def odds_of(evidence: Sequence[Evidence]) -> dict[str, float]:
     """Probability of each effect of an explanation, by id."""
-    there = {one.id for one in evidence}
-    shown = {SHOWS_AS[name] for name in there & SHOWS_AS.keys()}
+    shown = {other for one in evidence for other in CATALOGUE[one.id].shows_as}
     made = {}
     for one in evidence:
         probability = shipped_presence().of(one)

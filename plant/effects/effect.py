@@ -283,6 +283,8 @@ class Effect:
         ratio: whether the headline parameter is a factor of that constant, not an addend.
         stands_for: other constants that a fit may shift instead; "mountings" for what the
             lengths of all mountings are off by in common.
+        shows_as: effects that this one looks like besides where its form is not quite that of the
+            bench.
         calibration: key of `calibration.toml` that states how far the effect may go unnoticed.
         each_trial: how the effect varies from trial to trial on a sound bench.
         reference: the standard that gives the effect by itself, and how well it gives the
@@ -306,6 +308,7 @@ class Effect:
     own_constant: str = ""
     ratio: bool = False
     stands_for: tuple[str, ...] = ()
+    shows_as: tuple[str, ...] = ()
     calibration: str = ""
     each_trial: tuple[EachTrial, ...] = ()
     reference: tuple[Standard, float] | None = None

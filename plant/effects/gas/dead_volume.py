@@ -42,6 +42,8 @@ DEAD_VOLUME = Effect(
     standard="the line filled with water and weighed, or a known extra vessel",
     constants=("dead_volume_ml", "inlet_conductance_m3_s_pa", "outlet_conductance_m3_s_pa"),
     own_constant="dead_volume_ml",
+    # A chamber fills by conductance over volume.
+    shows_as=("flow_area",),
     reference=(SYRINGE, 0.05),
     plant=InPlant(slots=_slots),
     diagnosis=InDiagnosis(gas=_gas),

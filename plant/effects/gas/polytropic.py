@@ -34,6 +34,8 @@ POLYTROPIC = Effect(
     constants=("polytropic_exponent", "dead_volume_ml"),
     neutral=1.0,
     stands_for=("gas_temperature_k",),
+    # Gas that filling warms needs less mass, as if more had come in.
+    shows_as=("flow_area",),
     plant=InPlant(slots=_slots),
     diagnosis=InDiagnosis(gas=_gas),
     search=Search(
