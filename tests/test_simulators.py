@@ -318,6 +318,10 @@ def test_a_surface_goes_on_a_little_beyond_its_table(scattered: bool, tmp_path: 
     opened = static_force(open_simulator(surface(tmp_path, scattered)))
     p, length = np.array([-5.0, 605.0, 300.0]), np.array([60.0, 60.0, 70.3])
     assert opened.force_n(p, length, {}) == pytest.approx(chou_hannaford(p, length), abs=1.5)
+    # A zero of 15 kPa and more is tried as well: that ended diagnoses of minutes with an error.
+    far = np.array([-40.0, 720.0])
+    line = opened.force_n(far, np.full(2, 60.0), {})
+    assert line == pytest.approx(chou_hannaford(far, np.full(2, 60.0)), abs=6.0)
 
 
 # Laws

@@ -79,14 +79,25 @@ class Surface(StaticExternal):
         force = self._inside(unit)
         outside = ~self._within(unit)
         if outside.any():
-            # In a straight line along the ray from the middle of the table.
+            # In a straight line along the ray from the middle of the table. What was measured must
+            # lie near it; where an error of a sensor is tried, the point behind may lie far off.
             ray = unit[outside] - self._centre
-            near, inner = ray / (1.0 + MARGIN), ray / (1.0 + MARGIN) ** 2
+            reach = np.full(len(ray), 1.0 / (1.0 + MARGIN)) if trial else self._reach(ray)
+            near, inner = ray * reach[:, None], ray * reach[:, None] / (1.0 + MARGIN)
             at_near, at_inner = (self._inside(self._centre + part) for part in (near, inner))
             known = self._within(self._centre + near)
-            gone_on = at_near + (at_near - at_inner) * (1.0 + MARGIN)
-            force[outside] = np.where(known, gone_on, np.nan)
+            slope = (at_near - at_inner) * (1.0 + MARGIN) / MARGIN
+            force[outside] = np.where(known, at_near + slope * (1.0 / reach - 1.0), np.nan)
         return np.asarray(force.reshape(pressure_kpa.shape))
+
+    def _reach(self, ray: Array) -> Array:
+        """Share of each ray from the middle at which it leaves the table, a little inside of it."""
+        low, high = np.zeros(len(ray)), np.ones(len(ray))
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            inside = self._within(self._centre + ray * middle[:, None])
+            low, high = np.where(inside, middle, low), np.where(inside, high, middle)
+        return np.maximum(low, _LEAST_REACH)
 
     def _within(self, unit: Array) -> np.ndarray:
         return np.asarray(self._hull.find_simplex(unit, tol=1e-9) >= 0)
@@ -95,6 +106,8 @@ class Surface(StaticExternal):
         return "the table must cover the measured pressures and lengths"
 
 
+_HALVINGS = 14
+_LEAST_REACH = 0.02
 _WORTH_A_NOTE_N = 0.01
 _FINER = 0.5
 """Part of the error at points that are left out that is left once they are back: where the surface
