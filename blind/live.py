@@ -68,6 +68,7 @@ class Secret:
 
 
 _DRAWS = 8
+"""Most draws of one secret: about one in twenty is too small."""
 
 
 def draw_secret(

@@ -145,3 +145,27 @@ def test_gas_that_the_wall_cools_is_named(tmp_path: Path, wall_w_k: float) -> No
     assert verdict.effects[0].ids == ("polytropic",)
     exponent = verdict.effects[0].parameters["exponent"]
     assert exponent.value == pytest.approx(GAMMA, abs=0.06)
+
+
+@pytest.mark.parametrize("step_s", [0.001, 0.02])
+def test_a_leak_alone_falls_as_the_closed_form_says(tmp_path: Path, step_s: float) -> None:
+    """Choked, m' = -rho0 C p sqrt(T0 / T) (ISO 6358): pressure falls as an exponential.
+
+    With both valves shut the stage takes steps of 20 ms.
+    """
+    conductance = 3e-12
+    rate = GAS * COLD_K / VOLUME * 1.185 * np.sqrt(293.15 / COLD_K) * conductance
+    t = np.arange(0.0, 10.0, step_s)
+    read = ((400e3 + ATMOSPHERE) * np.exp(-rate * t) - ATMOSPHERE) * 1e-3
+    assert read[-1] * 1e3 + ATMOSPHERE > ATMOSPHERE / C.critical_ratio  # choked to the end
+    assert read[0] - read[-1] > 100.0
+    folder = tmp_path / "set"
+    folder.mkdir()
+    row = {"trial": "a", "slot": "a", "replicate": 1, "protocol": "decay", "held_length_mm": 60.0}
+    pd.DataFrame([row]).to_csv(folder / "trials.csv", index=False)
+    pd.DataFrame(
+        {"trial": "a", "time_s": t, "pressure_kpa": read, "inlet_cmd": 0.0, "outlet_cmd": 0.0}
+    ).to_csv(folder / "samples.csv", index=False)
+    data = read_dataset(folder)
+    assert rms_kpa(data, [("leak", "", conductance, {})]) < 0.01
+    assert rms_kpa(data, []) > 10.0

@@ -102,7 +102,7 @@ def test_the_model_error_has_its_stated_size_everywhere() -> None:
     error = ModelError.over(pressure, length, 3.0)
     p, x = (a.ravel() for a in np.meshgrid(pressure, length))
     sd = np.sqrt((error.terms(p, x) ** 2).sum(axis=1))
-    assert error.count <= 64
+    assert error.count < 64  # the variance ends the terms, not their largest number
     assert sd == pytest.approx(3.0, rel=0.12)
 
 

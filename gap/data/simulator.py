@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from gap.data.trial import Channel, Trial
 from plant.arrays import Array
+from plant.models.model import Domain
 
 Mask = npt.NDArray[np.bool_]
 
@@ -34,32 +35,6 @@ class Parameter:
     name: str
     nominal: float
     tolerance: float
-
-
-@dataclass(frozen=True)
-class Domain:
-    """Where a force law holds: lowest and highest pressure in kPa, and length in mm.
-
-    Beyond it the law may be off by any amount, so nothing is compared there.
-    """
-
-    pressure_kpa: tuple[float, float]
-    length_mm: tuple[float, float]
-
-    def holds(self, pressure_kpa: Array, length_mm: Array) -> Mask:
-        """Whether points lie inside, or beyond it by no more than a sensor's zero may move them."""
-        inside = np.ones(np.broadcast(pressure_kpa, length_mm).shape, dtype=bool)
-        for value, (low, high), least in (
-            (pressure_kpa, self.pressure_kpa, _LEAST_KPA), (length_mm, self.length_mm, _LEAST_MM),
-        ):  # fmt: skip
-            margin = max(_MARGIN * (high - low), least)
-            inside &= (value >= low - margin) & (value <= high + margin)
-        return inside
-
-
-_MARGIN = 0.02
-"""Share of the extent by which a point may lie beyond it."""
-_LEAST_KPA, _LEAST_MM = 3.0, 0.3
 
 
 @dataclass(frozen=True)
@@ -188,12 +163,31 @@ def domain_of(simulator: Simulator | None) -> Domain | None:
     return simulator.domain if isinstance(simulator, LimitedForce) else None
 
 
+def holds(domain: Domain, pressure_kpa: Array, length_mm: Array) -> Mask:
+    """Whether points lie in a domain, or beyond it by no more than a sensor's zero may move them.
+
+    Farther out a law may be off by any amount, so nothing is compared there.
+    """
+    inside = np.ones(np.broadcast(pressure_kpa, length_mm).shape, dtype=bool)
+    for value, (low, high), least in (
+        (pressure_kpa, domain.pressure_kpa, _LEAST_KPA), (length_mm, domain.length_mm, _LEAST_MM),
+    ):  # fmt: skip
+        margin = max(_MARGIN * (high - low), least)
+        inside &= (value >= low - margin) & (value <= high + margin)
+    return inside
+
+
+_MARGIN = 0.02
+"""Share of the extent by which a point may lie beyond it."""
+_LEAST_KPA, _LEAST_MM = 3.0, 0.3
+
+
 def compared(simulator: Simulator | None, pressure_kpa: Array, length_mm: Array) -> Mask:
     """Which points of a force may be compared with a simulator; all where none limits them."""
     domain = domain_of(simulator)
     if domain is None:
         return np.ones(np.broadcast(pressure_kpa, length_mm).shape, dtype=bool)
-    return domain.holds(pressure_kpa, length_mm)
+    return holds(domain, pressure_kpa, length_mm)
 
 
 @runtime_checkable
@@ -204,3 +198,8 @@ class RoughForce(Protocol):
     def rough_error_n(self) -> float:
         """One sd of it in N: where it shows, nothing smaller can be seen."""
         ...
+
+
+def rough_error_n(simulator: Simulator | None) -> float:
+    """One sd in N of a simulator's error that changes from point to point; 0 without one."""
+    return simulator.rough_error_n if isinstance(simulator, RoughForce) else 0.0

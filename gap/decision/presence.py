@@ -26,6 +26,7 @@ from gap.estimation.cross_validation import left_out
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.shape_fit import LOOSE, fit_shapes
 from gap.selection.candidate_fits import Hypothesis, fit_further, linear_gains
+from gap.selection.config import SELECTION
 from gap.selection.inclusion import excess_chi2, visibility
 from gap.selection.search import SearchResult
 from plant.arrays import Array
@@ -118,12 +119,11 @@ def shipped_presence() -> Presence:
     return Presence(table["constant"], table["weights"])
 
 
-PLAIN = 1.5
-"""Visibility, in floors, from which an effect is believed beside one that it may only correct."""
-OFFERED = 0.75
-"""Most probability of such an effect that is less visible. Set on: campaigns 52000 to 52729 of the
-held-out forms, where a conductance was named beside a volume or a gas five times, was never there,
-and took up to 1.2 floors."""
+MAY_CORRECT = 0.75
+"""Most probability of an effect that another one shows as, and that is not plainly visible: named
+only beside two that are sure. Set on: campaigns 52000 to 52729 of the held-out forms, where a
+conductance was named beside a volume or a gas five times, was never there, and took up to 1.2
+floors."""
 
 
 def odds_of(evidence: Sequence[Evidence]) -> dict[str, float]:
@@ -132,8 +132,8 @@ def odds_of(evidence: Sequence[Evidence]) -> dict[str, float]:
     made = {}
     for one in evidence:
         probability = shipped_presence().of(one)
-        corrects = one.id in shown and one.visibility < PLAIN
-        made[one.id] = min(probability, OFFERED) if corrects else probability
+        corrects = one.id in shown and one.visibility < SELECTION.plain_visibility
+        made[one.id] = min(probability, MAY_CORRECT) if corrects else probability
     return made
 
 

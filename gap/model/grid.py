@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.data.dataset import DataSet
-from gap.data.simulator import RoughForce, compared
+from gap.data.simulator import compared, rough_error_n
 from gap.data.trial import Channel, Trial
 from gap.model import bins
 from gap.model.clipping import CLIPPED_INPUT_KPA, CLIPPED_KPA
@@ -230,8 +230,7 @@ def _rough_error(data: DataSet) -> float:
     simulator = data.simulator
     if simulator is None:
         return 0.0
-    rough = simulator.rough_error_n if isinstance(simulator, RoughForce) else 0.0
-    return float(np.hypot(_ROUGH_SHARE * simulator.model_error_n, rough))
+    return float(np.hypot(_ROUGH_SHARE * simulator.model_error_n, rough_error_n(simulator)))
 
 
 _ROUGH_SHARE = 0.05

@@ -9,7 +9,7 @@ change is taken from the built-in physics:
 
 Its own numbers are parameters of the fit with their prior; predictions are linear in them around
 the values at which the simulator was last run. The error that the form of its force stage is known
-to have is a Gaussian process over pressure and length, of few terms, the same in all trials.
+to have is a Gaussian process over pressure and length, the same in all trials.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gap.data.dataset import DataSet
-from gap.data.simulator import ExternalSimulator, RoughForce, StaticForce
+from gap.data.simulator import ExternalSimulator, StaticForce, rough_error_n
 from gap.data.trial import Channel, Trial
 from gap.effects.terms import NOMINAL, Active
 from gap.errors import GapError
@@ -111,7 +111,7 @@ the size `_REACH`. A matter of definition."""
 
 @dataclass(frozen=True)
 class ModelError:
-    """Error of a law's form: a Gaussian process over pressure and length, reduced to few terms.
+    """Error of a law's form: the largest terms of a Gaussian process over pressure and length.
 
     Attributes:
         nodes: pressures and lengths in units of `reach`, shape (nodes, 2).
@@ -211,9 +211,7 @@ class NominalPlant:
     @property
     def errs(self) -> bool:
         """Whether the form of its force is known to be off."""
-        simulator = self.simulator
-        rough = simulator.rough_error_n if isinstance(simulator, RoughForce) else 0.0
-        return self.error is not None or rough > 0.0
+        return self.error is not None or rough_error_n(self.simulator) > 0.0
 
     @property
     def static(self) -> bool:

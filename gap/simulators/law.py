@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gap.data.simulator import Domain, Parameter, Stage
+from gap.data.simulator import Parameter, Stage
 from gap.data.trial import Trial
 from gap.errors import GapError
 from gap.simulators.description import Description, read_table_of
@@ -18,7 +18,7 @@ from plant.arrays import Array
 from plant.errors import PlantError
 from plant.models import catalogue
 from plant.models.law import History, static_force
-from plant.models.model import Model
+from plant.models.model import Domain, Model
 
 ROOM_C = 21.0
 
@@ -71,13 +71,7 @@ class _Law(External):
 
         A law that ships goes with the numbers of another muscle.
         """
-        known = self.model.domain
-        if not self._fitted:
-            return None
-        return Domain(
-            (known.pressure_kpa[0], known.pressure_kpa[1]),
-            (known.length_mm[0], known.length_mm[1]),
-        )
+        return self.model.domain if self._fitted else None
 
     def _q(self, values: Mapping[str, float]) -> Array:
         # A parameter that was fitted to its bound has an interval beyond it, where no law holds.

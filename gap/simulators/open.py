@@ -11,10 +11,11 @@ import numpy as np
 
 from gap.data.dataset import DataSet
 from gap.data.from_runs import open_data
-from gap.data.simulator import ExternalSimulator, Mask, domain_of
+from gap.data.simulator import FORCE_STAGE, ExternalSimulator, Mask, domain_of, holds
 from gap.errors import GapError
 from gap.simulators.description import Description, described, read_description
 from gap.simulators.external import External
+from gap.simulators.inputs import sampled, stage_sources
 from gap.simulators.law import open_law
 from gap.simulators.predictions import Predictions
 from gap.simulators.python_function import PythonSimulator, StaticPythonSimulator
@@ -101,16 +102,12 @@ def _beyond_domain(data: DataSet, simulator: ExternalSimulator) -> list[str]:
         return []
     outside: list[Mask] = []
     for trial in data.trials:
-        force, pressure, length = (trial.get(n) for n in ("force_n", "pressure_kpa", "length_mm"))
-        held = np.isfinite(trial.held_length_mm)
-        if not len(force) or not len(pressure) or not (held or len(length)):
+        sources = stage_sources(trial, FORCE_STAGE, {})
+        if sources is None or "force_n" not in trial:
             continue
-        at = force.time_s
-        p = np.interp(at, pressure.time_s, pressure.value)
-        here = np.full(len(at), trial.held_length_mm)
-        if not held:
-            here = np.interp(at, length.time_s, length.value)
-        outside.append(~domain.holds(p, here))
+        at = trial["force_n"].time_s
+        pressure, length = (sampled(name, sources[name], at) for name in FORCE_STAGE.inputs)
+        outside.append(~holds(domain, pressure, length))
     share = float(np.concatenate(outside).mean()) if outside else 0.0
     if share == 0.0:
         return []
