@@ -32,7 +32,7 @@ def still(length_mm: np.ndarray, **fields: np.ndarray) -> Points:
         "mounting": np.zeros(n, dtype=np.int64), "time_s": np.arange(n) * 0.01,
         "row": np.arange(n), "weight": np.ones(n), "pressure": np.full(n, 3e5),
         "pressure_slope": zero, "path": zero, "length": length_mm * 1e-3, "rate": zero,
-        "acceleration": zero, "held": np.zeros(n, dtype=bool), "settled": np.zeros(n, dtype=bool),
+        "rate_sd": zero, "acceleration": zero, "held": np.zeros(n, dtype=bool), "settled": np.zeros(n, dtype=bool),
         "temperature": np.full(n, 21.0),
         "mass": np.ones(n), "reading": zero, "direction": zero,
         "clipped": np.zeros(n, dtype=bool),

@@ -10,7 +10,7 @@ the doubt stays unless effects explain nearly all of the gap and leave neither f
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
 
@@ -20,6 +20,9 @@ from gap.effects.candidates import Candidate
 from gap.estimation.config import ESTIMATION, EstimationConfig
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.features import BLOCKS, UNITS
+from gap.model.force import muscle_force
+from gap.model.grid import Points
+from plant.arrays import Array
 from plant.constants import STANDARD_GRAVITY_M_S2
 
 
@@ -115,16 +118,40 @@ def _is_another_muscle(
     other = problem.with_free_constants(_MUSCLE, config.another_muscle)
     if (other.base.cost - len(problem.rows)) * config.doubt_left < left:
         return True
-    whole = other.polish(other.fit(*fit.kept(lambda _: True)))
+    whole = _best_fit(other, _in_sd_of(other, problem, fit.shift), *fit.kept(lambda _: True))
     for name in fit.ids:
         kept = fit.kept(partial(_is_other, name))
-        lost = problem.polish(problem.fit(*kept)).cost - fit.cost
+        lost = _best_fit(problem, fit.shift, *kept).cost - fit.cost
         if lost < config.doubt_left * gap:
             continue
-        other_lost = other.polish(other.fit(*kept)).cost - whole.cost
+        other_lost = _best_fit(other, whole.shift, *kept).cost - whole.cost
         if other_lost < config.stands_for_muscle * lost:
             return True
     return False
+
+
+def _in_sd_of(other: FitProblem, problem: FitProblem, shift: Array) -> Array:
+    """Constants in the sd of another problem, in which those of the muscle are wider."""
+    sd, wide = problem.data.constants.tolerance_si, other.data.constants.tolerance_si
+    muscle = [n in _MUSCLE and sd(n) > 0.0 for n in problem.names]
+    return np.array(
+        [
+            s * sd(name) / wide(name) if own else s
+            for name, own, s in zip(problem.names, muscle, shift.tolist(), strict=True)
+        ]
+    )
+
+
+def _best_fit(
+    problem: FitProblem, shift: Array, candidates: list[Candidate], amounts: list[float]
+) -> FitResult:
+    """The better of the fits from given constants and from the recalibrated ones.
+
+    The recalibrated ones have given way to the effects: a fit from there may end far from the best.
+    """
+    near = problem.polish(problem.fit_from(shift, candidates, amounts))
+    afresh = problem.polish(problem.fit(candidates, amounts))
+    return near if near.cost <= afresh.cost else afresh
 
 
 def _is_other(name: str, candidate: Candidate) -> bool:
@@ -170,9 +197,24 @@ def _readings(
         if points is None:
             continue
         here = rows.block == BLOCKS.index(block)
-        read = points.reading if block == "force" else points.mass * STANDARD_GRAVITY_M_S2
+        read = points.reading if block == "force" else _full_load(problem, fit, points)
         usual = float(np.sqrt(np.average(read**2, weights=points.weight)))
         residual = fit.residual[here]
         off = float(np.sqrt(np.average(residual**2, weights=rows.samples[here])))
         if off > config.misfit_share * usual:
             yield UnfitPlant(Misfit.READINGS, block, off, usual)
+
+
+def _full_load(problem: FitProblem, fit: FitResult, points: Points) -> Array:
+    """Load in N that an error of the muscle is compared with, one value a point.
+
+    A muscle under a small weight is near the length at which it pulls nothing: what it would pull
+    held at its longest is what another muscle is off from. A slide's friction may be larger than
+    the weight.
+    """
+    hung = points.mass * STANDARD_GRAVITY_M_S2
+    if problem.model.covers("load"):
+        return np.asarray(hung)
+    held = replace(points, length=np.full(len(points.length), np.nanmax(points.length)))
+    context = problem.model.context(problem.constants(fit.shift), [])
+    return np.maximum(hung, muscle_force(held, [], context))

@@ -216,3 +216,20 @@ def load_pull(points: Points, active: Active, context: Context) -> Array:
             friction = friction + term.amount * on.drag(points, term.shape)
     damping = context.constants.load_damping_n_s_m * points.rate
     return np.asarray(mass * (STANDARD_GRAVITY_M_S2 - points.acceleration) - damping - friction)
+
+
+def drag_slack(points: Points, active: Active) -> tuple[Array, Array]:
+    """How much less and how much more than `load_pull` takes the friction of the load may be, N.
+
+    A load that hardly moves is held by as much friction as it takes, not by all there may be.
+    """
+    least, most = np.zeros(len(points.mass)), np.zeros(len(points.mass))
+    for term in terms(active):
+        on = term.diagnosis
+        if on.drag is None or on.drag_range is None:
+            continue
+        drag = on.drag(points, term.shape)
+        low, high = on.drag_range(points, term.shape)
+        least = least + term.amount * np.minimum(low - drag, 0.0)
+        most = most + term.amount * np.maximum(high - drag, 0.0)
+    return least, most

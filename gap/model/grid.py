@@ -168,6 +168,7 @@ class _Piece:
     path: Array
     length: Array
     rate: Array
+    rate_sd: Array
     acceleration: Array
     held: bool
     temperature: Array
@@ -255,8 +256,9 @@ def _kept(piece: _Piece, keep: npt.NDArray[np.bool_]) -> _Piece:
 
 
 _ARRAYS = (
-    "time_s", "weight", "pressure", "pressure_slope", "path", "length", "rate", "acceleration",
-    "temperature", "reading", "direction", "doubt", "floor", "clipped", "unfollowed",
+    "time_s", "weight", "pressure", "pressure_slope", "path", "length", "rate", "rate_sd",
+    "acceleration", "temperature", "reading", "direction", "doubt", "floor", "clipped",
+    "unfollowed",
 )  # fmt: skip
 
 
@@ -276,6 +278,7 @@ def _piece(trial: Trial, signal: Signal, output: Channel, scale: float, data: Da
         signal.path_at(time_s),
         signal.length_at(time_s),
         signal.rate_at(time_s),
+        signal.rate_sd_at(time_s),
         signal.acceleration_at(time_s),
         signal.temperature_at(time_s),
         output.value[inside] * scale,
@@ -296,13 +299,13 @@ def _piece(trial: Trial, signal: Signal, output: Channel, scale: float, data: Da
         columns = [np.add.reduceat(column, starts) / count for column in columns]
         weight = count
     (
-        t, p, slope, path, length, rate, acceleration, temperature, reading, direction, doubt,
-        floor, clipped, unfollowed,
+        t, p, slope, path, length, rate, rate_sd, acceleration, temperature, reading, direction,
+        doubt, floor, clipped, unfollowed,
     ) = columns  # fmt: skip
     return _Piece(
-        t, weight, p, slope, path, length, rate, acceleration, signal.held, temperature, np.nan,
-        reading, direction, np.empty(0), trial.settled, doubt, floor, clipped > _CLIPPED_SHARE,
-        unfollowed > _UNFOLLOWED_SHARE,
+        t, weight, p, slope, path, length, rate, rate_sd, acceleration, signal.held, temperature,
+        np.nan, reading, direction, np.empty(0), trial.settled, doubt, floor,
+        clipped > _CLIPPED_SHARE, unfollowed > _UNFOLLOWED_SHARE,
     )  # fmt: skip
 
 
@@ -393,9 +396,9 @@ def _chamber(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> _Piec
     clipped = np.add.reduceat(signal.clipped.astype(np.float64), first) / count
     floor = np.where(clipped > _CLIPPED_SHARE, CLIPPED_KPA, floor)
     return _Piece(
-        t, count, p, zero, p, length, signal.rate_at(t), signal.acceleration_at(t),
-        signal.held, signal.temperature_at(t), np.nan, p, zero, feed, False, doubt, floor,
-        clipped > _CLIPPED_SHARE, np.zeros(len(t), dtype=bool), adrift=adrift,
+        t, count, p, zero, p, length, signal.rate_at(t), signal.rate_sd_at(t),
+        signal.acceleration_at(t), signal.held, signal.temperature_at(t), np.nan, p, zero, feed,
+        False, doubt, floor, clipped > _CLIPPED_SHARE, np.zeros(len(t), dtype=bool), adrift=adrift,
     )  # fmt: skip
 
 

@@ -240,7 +240,9 @@ class Model:
         without = np.isnan(given)
         if without.any():
             given = np.where(without, self.pull("load", points, c, active, more_n), given)
-        return asked - given
+        missing = asked - given
+        least, most = laws.drag_slack(points, active)
+        return missing - np.where(without, 0.0, np.clip(missing, least, most))
 
     def _camera(self, points: Points, c: PlantConstants, active: Active) -> Array:
         true = laws.true_length(points, active, c)

@@ -53,6 +53,7 @@ class Points:
     path: Floats
     length: Floats
     rate: Floats
+    rate_sd: Floats
     acceleration: Floats
     held: npt.NDArray[np.bool_]
     settled: npt.NDArray[np.bool_]

@@ -49,7 +49,7 @@ def _sliding(points: Points, shape: Shape) -> Array:
     if "travel_mm" in shape:
         return _slip(points, points.length / (shape["travel_mm"] * 1e-3))
     speed = points.rate * 1e3
-    slip = np.tanh(speed / shape["knee_mm_s"])
+    slip = np.tanh(speed / shape.get("knee_mm_s", shape.get("rest_knee_mm_s", np.inf)))
     if "fall_mm_s" in shape:  # Stribeck's part, gone at speed
         slip = slip * np.exp(-((speed / shape["fall_mm_s"]) ** 2))
     come = -points.direction
@@ -60,6 +60,37 @@ def _sliding(points: Points, shape: Shape) -> Array:
         come = come * -np.expm1(-step / shape["step_mm"])
     # The rows of a table of settled points are no path: only a stated direction tells.
     return np.where(points.direction != 0.0, come, np.where(points.settled, 0.0, slip))
+
+
+def _range(points: Points, shape: Shape) -> tuple[Array, Array]:
+    """Least and most slip, -1 to 1, of a load at speeds at which it may as well stick.
+
+    Between none and all of it, with the sign of the motion, until it has come some way; where noise
+    hides the sign, of either.
+    """
+    drag = _sliding(points, shape)
+    knee = shape.get("rest_knee_mm_s")
+    if knee is None:
+        return drag, drag
+    path = (points.direction == 0.0) & ~points.settled
+    hidden = _HIDDEN_SD * points.rate_sd * 1e3 + _AT_REST * knee
+    slow = np.tanh((points.rate * 1e3 - hidden) / knee)
+    fast = np.tanh((points.rate * 1e3 + hidden) / knee)
+    # From one full slip to the other is twice the unit. Noise takes a part of it back.
+    sure = np.where(path, _slip(points, points.length / (0.6 * _SURE_MM * 1e-3)), 0.0)
+    sure = np.where(sure * points.rate > 0.0, np.clip(1.5 * sure, -1.0, 1.0), 0.0)
+    least = np.where(path, np.minimum(slow, np.maximum(sure, 0.0)), drag)
+    most = np.where(path, np.maximum(fast, np.minimum(sure, 0.0)), drag)
+    return least, most
+
+
+_HIDDEN_SD = 2.0
+"""Sd of a speed within which its sign is not known. A matter of definition."""
+_SURE_MM = 1.0
+"""Way after a turn on which a slide comes to rub in full, whatever its pre-sliding. Set on: two
+sets of several effects, 1060 and 1119."""
+_AT_REST = 3.0
+"""Knees of the speed below which a load is at rest: its friction may have either sign."""
 
 
 def _slip(points: Points, travel: Array) -> Array:
@@ -95,7 +126,7 @@ LINK_FRICTION = Effect(
     standard="a force sensor between muscle and load",
     constants=("load_damping_n_s_mm",),
     plant=InPlant(slots=_slots, slide=_slide, drag=_drag, drag_stiffness=_drag_stiffness),
-    diagnosis=InDiagnosis(drag=_sliding),
+    diagnosis=InDiagnosis(drag=_sliding, drag_range=_range),
     search=Search(
         step=0.5,
         sign=1,
@@ -108,12 +139,14 @@ LINK_FRICTION = Effect(
             {"travel_mm": 0.5},
             {"knee_mm_s": 0.3, "fall_mm_s": 6.0},
             {"knee_mm_s": 1.0, "step_mm": 1.5},
+            {"rest_knee_mm_s": 0.05},
         ),
         free={
             "knee_mm_s": (0.05, 30.0),
             "travel_mm": (0.02, 3.0),
             "fall_mm_s": (1.0, 30.0),
             "step_mm": (0.2, 10.0),
+            "rest_knee_mm_s": (0.02, 0.1),
         },
         plant_shape={"travel_mm": 0.02},
         plant_misfit=0.5,  # a stiff slide: the direction of a bouncing load hangs on the frames
