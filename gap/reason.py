@@ -21,6 +21,10 @@ class Cause(StrEnum):
         "the nominal plant is not that of these data: {findings}. Fit a model of your muscle first "
         "(pamrig fit) and give it with --simulator, or state the muscle in bench.toml"
     )
+    SIMULATOR_UNFIT = (
+        "the simulator is not that of these data: {findings}. Either its tolerance does not hold, "
+        "or the simulator lacks something that looks like it"
+    )
     NOTHING_TO_COMPARE = (
         "no trial has channels that the plant relates: pressure with force, pressure with valve "
         "commands, or pressure with a hung load and its length, each with a length"
@@ -51,6 +55,10 @@ class Cause(StrEnum):
     OUTSIDE = (
         "a gap of which the best entry ({names}) explains {percent:.0f} %, in a way that points to "
         "something the catalogue does not hold"
+    )
+    CALIBRATED = (
+        "{names} fits best, {times:.0f} times what calibration.toml states of {key}: the "
+        "calibration does not hold, or something else looks like it"
     )
     PARTLY = (
         "{names} is there ({percent:.0f} %), whatever else acts: it explains {share:.0f} % of the "

@@ -135,6 +135,8 @@ def test_a_module_that_is_not_there(tmp_path: Path) -> None:
         ("return 'abc'", "returned a str, expected an array of numbers"),
         ("return None", "shape (), expected"),
         ("return first(args) * float('nan')", "nan|no finite force"),
+        ("raise SystemExit(3)", "raised SystemExit: 3"),
+        ("return first(args) * 1j", "returned complex numbers, expected real ones"),
     ],
 )
 def test_a_function_that_fails(static: bool, body: str, expected: str, tmp_path: Path) -> None:
@@ -148,6 +150,17 @@ def test_a_function_that_fails(static: bool, body: str, expected: str, tmp_path:
     assert "function muscle.py:force" in made or "function force" in made
     assert "trial t7" in made
     assert any(part in made for part in expected.split("|")), made
+
+
+def test_what_a_function_prints_stays_off_standard_output(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = "def force(p, length, parameters):\n    print('called')\n    return 0.1 * p\n"
+    text = DYNAMIC + "static = true\n"
+    open_simulator(write(tmp_path, simulator_toml=text, muscle_py=code)).simulate(MEASURED, {})
+    shown = capsys.readouterr()
+    assert "called" not in shown.out
+    assert "called" in shown.err
 
 
 def test_a_function_that_returns_another_channel(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from gap.decision.reliability import shipped_reliability
 from gap.decision.traits import traits_of
 from gap.design.advise import advise, more_replicates
 from gap.effects.candidates import DEFECTS
+from gap.effects.recording import CALIBRATION
 from gap.estimation.agreement import shared_chi2
 from gap.estimation.cross_validation import HeldOut, gap_of, held_out
 from gap.estimation.fit_problem import FitProblem, FitResult
@@ -57,6 +58,11 @@ class _Case:
     def chance(self) -> float:
         """One standard deviation of chi-square."""
         return float(np.sqrt(2.0 * len(self.problem.rows)))
+
+    @property
+    def shows(self) -> bool:
+        """Whether there is more of a gap than chance, over all rows."""
+        return self.search.gap > self.chance
 
     @property
     def leaves_nothing(self) -> bool:
@@ -142,6 +148,11 @@ def classify(
         finding = _defect(case)
     elif outcome.uncertain_defect:
         finding = _unknown(case, case.search.best.fit, 1.0, Reason(Cause.UNCERTAIN_DEFECT))
+    elif not case.shows and set(_undetermined(case, case.search.best.fit)) == set(
+        case.search.best.fit.ids
+    ):
+        # Nothing shows, and what an effect at the end of its range takes is noise.
+        finding = _unexplained(case)
     elif case.search.best.keys:
         further = with_further(problem, case.search)
         case = _judged(case, further)
@@ -150,6 +161,7 @@ def classify(
         case, finding = _by_presence(case, _explained(case), further, odds)
         presence = [{**one.as_dict(), "probability": odds[one.id]} for one in evidence]
         finding = replace(finding, evidence={**finding.evidence, "presence": presence})
+        finding = _with_calibration(case, finding)
     else:
         finding = _unexplained(case)
     return _verdict(case, finding), case.search
@@ -361,6 +373,24 @@ def _by_presence(
     return case, finding
 
 
+def _with_calibration(case: _Case, finding: _Finding) -> _Finding:
+    """The finding where no effect is sure that the user's own calibration speaks against."""
+    stated = case.problem.data.calibration
+    fit = finding.entries[0][0].fit if finding.entries else case.search.best.fit
+    against: dict[str, tuple[float, str]] = {}
+    for candidate, amount in zip(fit.candidates, fit.amounts.tolist(), strict=True):
+        key = next((k for k, name in CALIBRATION.items() if name == candidate.id), "")
+        if key in stated and abs(amount) > case.config.against_calibration * stated[key]:
+            against[candidate.id] = (abs(amount) / stated[key], key)
+    sure = tuple(name for name in finding.sure if name not in against)
+    if len(sure) == len(finding.sure):
+        return finding
+    name = max(against, key=lambda one: against[one])
+    times, key = against[name]
+    why = reason(Cause.CALIBRATED, names=name, times=times, key=key)
+    return replace(finding, status=Status.INDISTINGUISHABLE, sure=sure, reason=why)
+
+
 def _surely_there(
     ids: tuple[str, ...], odds: Mapping[str, float], usual: float, config: DecisionConfig
 ) -> tuple[str, ...]:
@@ -452,7 +482,8 @@ def _undetermined(case: _Case, fit: FitResult) -> tuple[str, ...]:
     """
     problem, config = case.problem, case.config
     estimates = headline_estimates(problem, fit, shipped_reliability().form)
-    explains = fit is case.search.best.fit and case.share >= config.form_share
+    whole = case.share >= config.form_share and case.shows
+    explains = fit is case.search.best.fit and whole
     made = []
     for name in fit.ids:
         entry = CATALOGUE[name]

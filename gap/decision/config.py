@@ -20,6 +20,10 @@ class DecisionConfig:
     unexplained_per_row: float = 0.2
     """Gap per row, shared by replicates, that is unknown if no effect explains it. Fewer missed
     effects from outside the catalogue. Set on: not recorded."""
+    against_calibration: float = 5.0
+    """Size of a sensor's error, in the uncertainty that calibration.toml states for it, from which
+    it is offered and not named: either the statement is wrong, or the name. No other value was
+    tried."""
     unexplained_chance: float = 4.0
     """The same gap in units of chance: in few rows a large gap per row is chance."""
     at_bound_chance: float = 3.0

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
+import numpy as np
+
 from daq.progress import stage
 from gap.data.dataset import DataSet
 from gap.data.quality import Unfit, unfit_channels
@@ -86,6 +88,8 @@ def verdict_by_catalogue(
         if timing_fault is not None:
             return _unfit([Unfit(timing_fault.channel, timing_fault.defect)]), None, None
     found = search_effects(problem)
+    if np.any(np.abs(problem.base.shift[len(problem.names) - problem.own :]) > _MADE_UP_SD):
+        problem, found = _run_where_less_is_left(problem, found)
     if doubtful:
         # Several large effects do this as well as another muscle: all of them must be in.
         found = with_further(problem, found)
@@ -96,6 +100,26 @@ def verdict_by_catalogue(
         if left or not has_sure_effect(verdict):
             return _unfit_plant(data, left or doubtful), None, None
     return verdict, problem, search
+
+
+_MADE_UP_SD = 3.0
+"""Shift of a simulator's parameter, in sd, that may make up for an effect. A matter of definition.
+"""
+
+
+def _run_where_less_is_left(
+    problem: FitProblem, found: SearchResult
+) -> tuple[FitProblem, SearchResult]:
+    """The search with the simulator run as recalibrated, or as stated: what leaves less.
+
+    Either the parameters are off, or an effect has moved them.
+    """
+    stated = problem.run_as_stated()
+    if stated is problem:
+        return problem, found
+    again = search_effects(stated)
+    fewer = found.alarm * (len(found.best.keys) - len(again.best.keys))
+    return (stated, again) if again.best.cost < found.best.cost + fewer else (problem, found)
 
 
 def has_sure_effect(verdict: Verdict) -> bool:
@@ -126,9 +150,11 @@ def with_empirical_term(verdict: Verdict, problem: FitProblem, search: SearchRes
 
 
 def _unfit_plant(data: DataSet, found: list[UnfitPlant]) -> Verdict:
+    own = all(one.place.startswith("simulator ") for one in found)
+    cause = Cause.SIMULATOR_UNFIT if own else Cause.NOMINAL_UNFIT
     return Verdict(
         status=Status.NOMINAL_UNFIT,
-        reason=reason(Cause.NOMINAL_UNFIT, findings="; ".join(map(str, found))),
+        reason=reason(cause, findings="; ".join(map(str, found))),
         stage=None,
         effects=(),
         probability_none=0.0,

@@ -222,6 +222,22 @@ class FitProblem:
         model = Model(self.grid, own, self.model)
         return replace(self, model=model, _kept={})
 
+    def run_as_stated(self) -> FitProblem:
+        """The problem with a simulator with memory run at its stated parameters.
+
+        Recalibration may have moved them far to make up for an effect: from where it runs then the
+        way back is no straight line. The problem itself where that changes nothing.
+        """
+        nominal = self.model.nominal
+        if nominal is None or nominal.static or not np.any(nominal.around):
+            return self
+        model = Model(self.grid, np.zeros(len(nominal.around)), self.model)
+        problem = replace(self, model=model, _kept={})
+        start = problem._descend(np.zeros(len(self.names)), (), np.empty(0), problem.stated_columns)
+        base = problem.polish(start, 6)
+        columns = problem.columns_at(base.shift, (), np.empty(0))
+        return replace(problem, base=base, columns=columns, _kept={})
+
     def restricted_to(self, usable: Callable[[Candidate], bool]) -> FitProblem:
         """The same problem with the candidates for which `usable` holds."""
         return replace(self, candidates=tuple(s for s in self.candidates if usable(s)))

@@ -21,9 +21,9 @@ from gap.estimation.config import ESTIMATION, EstimationConfig
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.features import BLOCKS, UNITS
 from gap.model.force import muscle_force
-from gap.model.grid import Points
 from plant.arrays import Array
 from plant.constants import STANDARD_GRAVITY_M_S2
+from plant.effects.arguments import Points
 
 
 class Misfit(StrEnum):
@@ -95,11 +95,9 @@ def doubts_left(
         one of them does; else those at `fit`. Empty where the doubt is gone.
     """
     stated = doubts(problem, problem.base, config)
-    foreign = any(one.place.startswith(_SIMULATOR) for one in stated)
     faulty = any(candidate.defect for candidate in fit.candidates)
     if (
-        foreign
-        or faulty
+        faulty
         or left > config.doubt_left * gap
         or _is_another_muscle(problem, fit, gap, left, config)
     ):

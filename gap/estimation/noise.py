@@ -112,8 +112,12 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
     classes = _classes(model)
     clear = rows.doubt**2 + rows.adrift**2 < 0.3 * noise.white
     alike = same_conditions(data)
-    pairs = [_Pair(noise, rows, alike, classes, clear, a, b, residual) for a, b in _couples(model)]
-    pairs = [pair for pair in pairs if len(pair.d) > 3]
+    pairs: list[_Pair] = []
+    # Where motion between frames leaves doubt in nearly every row, that is in the scatter too.
+    for known in (clear, np.ones(len(rows), dtype=bool)):
+        couples = _couples(model)
+        made = [_Pair(noise, rows, alike, classes, known, a, b, residual) for a, b in couples]
+        pairs = pairs or [pair for pair in made if len(pair.d) > 3]
     noise.pairs = len(pairs)
     noise.freedom = sum(len(members) - 1 for members in data.slots.values())
     if pairs:

@@ -15,7 +15,7 @@ to have is a Gaussian process over pressure and length, the same in all trials.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -207,6 +207,7 @@ class NominalPlant:
         }
         self._beyond: dict[str, tuple[bytes, Array]] = {}
         self._run = {} if self.static else self._linearised(data)
+        self._start = self._of_start(data) if "pressure" in self._run else None
 
     @property
     def errs(self) -> bool:
@@ -272,6 +273,35 @@ class NominalPlant:
         base, slope = run
         return np.asarray(base + slope @ (shift[: len(self.prior.names)] - self.around))
 
+    def pressure_from(self, shift: Array, zero_pa: float, gain: float) -> Array:
+        """Predicted pressure at its points, Pa, started where a gauge of such an error really was.
+
+        Args:
+            gain: of the gauge, beyond one.
+        """
+        made = self.predicted("pressure", shift)
+        assert made is not None
+        assert self._start is not None
+        read, slope = self._start
+        return made + slope * ((read - zero_pa) / (1.0 + gain) - read)
+
+    def _of_start(self, data: DataSet) -> tuple[Array, Array]:
+        """First reading in Pa and slope of the prediction over it, at the points of the pressure.
+
+        A simulator may take its first pressure from the data; how soon it forgets is its own.
+        """
+        points = self._points["pressure"]
+        read = np.zeros(len(points.reading))
+        for number, trial in enumerate(data.trials):
+            here = slice(*points.first[number : number + 2].tolist())
+            if here.stop > here.start:
+                read[here] = trial["pressure_kpa"].value[0] * 1e3
+        high, low = (
+            self._simulated(_started(data, kpa), ["pressure"], self.around)["pressure"]
+            for kpa in (_START_KPA, -_START_KPA)
+        )
+        return read, (high - low) / (2e3 * _START_KPA)
+
     def _linearised(self, data: DataSet) -> dict[str, tuple[Array, Array]]:
         """Prediction at the points of each block and its slope over each parameter, 1/sd."""
         blocks = [block for block in _BLOCKS if block in self._points and self.covers(block)]
@@ -325,6 +355,23 @@ class NominalPlant:
                 where, f"the {stage} stage has no prediction at {at:g} s, where the data have one"
             )
         return value
+
+
+_START_KPA = 5.0
+
+
+def _started(data: DataSet, kpa: float) -> DataSet:
+    """The same trials with the first reading of the pressure off by so much."""
+    trials = []
+    for trial in data.trials:
+        channel = trial.get("pressure_kpa")
+        if len(channel):
+            value = channel.value.copy()
+            value[0] += kpa
+            read = {"pressure_kpa": replace(channel, value=value)}
+            trial = replace(trial, channels={**trial.channels, **read})
+        trials.append(trial)
+    return replace(data, trials=tuple(trials))
 
 
 def nominal_law(data: DataSet) -> ForceLaw | None:

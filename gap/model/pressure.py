@@ -425,3 +425,52 @@ def replay(*arrays: Any, learn: bool) -> None:
     """
     *common, step, acting = arrays
     _run(*common, np.zeros(1), step, acting, _LEARN if learn else _APPLY)
+
+
+def perturbed(plain: Any, changed: Any, path: Any, *arrays: Any) -> Any:
+    """The path of gas that something else has simulated, with what effects do to it.
+
+    Takes the constants without and with the effects, both without what the gauge does, the path,
+    and the arrays of `predict` from `first` on, less readings and what is written to. The steps
+    that the path takes beyond the model are kept: what an effect adds is that of the model, along
+    the path.
+    """
+    first, time, *rest, first_edge, edge_s, edge_to, edge_of = arrays
+    step, acting, out = (np.empty(len(time)) for _ in range(3))
+
+    def run(trials: slice) -> None:
+        nodes = (first[trials], time, path, *rest)
+        edges = (first_edge[trials], edge_s, edge_to, edge_of)
+        replay(plain, *nodes, *edges, out, step, acting, learn=True)
+        replay(changed, *nodes, *edges, out, step, acting, learn=False)
+
+    each(run, _parts(first))
+    return out
+
+
+def behind_lag(first: Any, time: Any, path: Any, lag_s: float) -> Any:
+    """What a first-order lag shows of a path that is straight between its nodes, trial by trial."""
+    out = np.empty(len(time))
+    _lag(first, time, path, lag_s, out)
+    return out
+
+
+def _build_lag(sources: int) -> Callable[..., None]:
+    @entry_point("void(int64[::1], float64[::1], float64[::1], float64, float64[::1])")
+    def lag(first: Any, time: Any, path: Any, lag_s: float, out: Any) -> None:
+        if sources < 0:
+            return
+        for t in range(len(first) - 1):
+            for i in range(first[t], first[t + 1]):
+                if i == first[t]:
+                    out[i] = path[i]
+                    continue
+                h = time[i] - time[i - 1]
+                behind = lag_s * (path[i] - path[i - 1]) / h
+                kept = math.exp(-h / lag_s)
+                out[i] = path[i] - behind + (out[i - 1] - path[i - 1] + behind) * kept
+
+    return lag
+
+
+_lag = _build_lag(fingerprint())

@@ -19,6 +19,7 @@ from gap.model.nominal import NominalPlant
 from gap.model.threads import each
 from plant.arrays import Array
 from plant.constants import KEYS, PlantConstants
+from plant.effects import pressure_stage
 from plant.effects.arguments import Context, Points
 
 SCALE = {"pressure": 1e-3, "force": 1.0, "load": 1.0, "camera": 1e3}
@@ -249,15 +250,42 @@ class Model:
         return points.reading - (true + laws.read_minus_true(active, true, c))
 
     def _pressure(self, points: Points, c: PlantConstants, active: Active) -> Array:
-        out, _ = self._built_in_pressure(points, c, active)
-        if self.nominal is not None:
-            out = out + self.instead("pressure", c, self.nominal.shift(active))
+        if self.covers("pressure"):
+            out = self._simulated_pressure(points, c, active)
+        else:
+            out, _ = self._built_in_pressure(points, c, active)
         for term in terms(active):
             if term.diagnosis.pressure_shown is not None:
                 out = term.diagnosis.pressure_shown(out, points, term.amount)
         if points.clipped.any():  # what is below the end of the gauge reads as that end
             out = np.where(points.clipped, np.maximum(out, points.reading), out)
         return np.asarray(np.clip(points.reading - out, -3e6, 3e6))
+
+    def _simulated_pressure(self, points: Points, c: PlantConstants, active: Active) -> Array:
+        """Prediction of a simulator with memory, with what the effects do to it, Pa.
+
+        The gas does what the built-in chamber's would along that path. The gauge's own error is in
+        the pressure that the simulator was started from.
+        """
+        assert self.nominal is not None
+        q, plain = self._parameters(c, active), self._parameters(c, [])
+        zero, gain = float(q[pressure_stage.ZERO]), float(q[pressure_stage.GAIN])
+        lags = float(q[pressure_stage.LAG]), float(q[pressure_stage.LAG_BEFORE])
+        q[[getattr(pressure_stage, of) for of in ("ZERO", "GAIN", "LAG", "LAG_BEFORE")]] = 0.0
+        path = self.nominal.pressure_from(self.nominal.shift(active), zero, gain)
+        context = replace(self._plain_context, constants=c)
+        if not np.array_equal(plain, q):
+            grid = self.grid
+            true = laws.true_length(points, active, c)
+            length = np.ascontiguousarray(np.clip(true, 1e-4, 0.999 * c.braid_length_m))
+            path = chamber.perturbed(
+                plain, q, path, points.first, points.time_s, length, grid.supply, grid.first_edge,
+                grid.edge_s, grid.edge_to, grid.edge_of,
+            )  # fmt: skip
+        for lag_s in lags:
+            if lag_s > 0.0:
+                path = chamber.behind_lag(points.first, points.time_s, path, lag_s)
+        return laws.gauge_shows(path * (1.0 + gain) + zero, active, context)
 
     def _built_in_pressure(
         self, points: Points, c: PlantConstants, active: Active

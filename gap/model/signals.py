@@ -241,8 +241,13 @@ class Signal:
         return self._interpolated(time_s, self._doubt[1])
 
     def swing_at(self, time_s: Array) -> Array:
-        """How far, in m, the length departs from a straight course over a few frames around."""
-        return self._interpolated(time_s, _swing(self._time, self._length))
+        """How far, in m, the length departs from a straight course over a few frames around.
+
+        Beyond what the camera's own noise makes.
+        """
+        noise = min(_frame_noise(self._length), _MOST_NOISE_OF_SWING_M)
+        swing = np.maximum(_swing(self._time, self._length) - _SWING_OF_NOISE_SD * noise, 0.0)
+        return self._interpolated(time_s, swing)
 
     @property
     def bend_noise_m_s2(self) -> float:
@@ -440,6 +445,11 @@ def _doubts(time_s: Array, acceleration: Array, noise_m: float) -> tuple[Array, 
 
 
 _FEWEST_FRAMES = 20
+_SWING_OF_NOISE_SD = 3.0
+"""Largest departure that noise makes among a few frames, in its sd. A matter of definition."""
+_MOST_NOISE_OF_SWING_M = 0.05e-3
+"""Most of it that is taken for noise: a swing that never ends looks like noise from frame to frame.
+"""
 _SWING_FRAMES = 5
 _END_FRAMES = 4
 

@@ -157,6 +157,10 @@ class SelectionConfig:
     """Least share of the gap that a defect must explain alone."""
     defect_spread: float = 0.15
     """Most spread over trials, beyond chance, of the amount of a defect, over that amount."""
+    least_smoothed: float = 1.5
+    """Width of a smoothing, one sd over the spacing of samples, below which it may only take away
+    what a noisy pressure brings into a predicted force: seven of eight benches of another generator
+    without any effect were called unknown for 0.6 to 1.1. No other value was tried."""
     defect_worse_share: float = 0.1
     """Share of the gap by which effects may fit worse than a defect and still be named."""
     least_clock_ms: float = 5.0

@@ -51,7 +51,7 @@ def prune(
     candidates = search.best.fit.candidates
     if not any(candidate.defect for candidate in candidates):
         return PruningResult(_needed(problem, _exchanged(problem, search, config), config))
-    first = candidates[0].defect
+    first = candidates[0].defect and not _within_a_sample(problem, search, config)
     sure = first and _is_defect(problem, search, config)
     if sure and not _may_be_slow_sensor(search, config):
         return PruningResult(search, defect=True)
@@ -86,6 +86,30 @@ def _is_defect(problem: FitProblem, search: SearchResult, config: SelectionConfi
     if fit.candidates[0].id.endswith("clock") and 0.0 < amount < config.least_clock_ms:
         return False
     return _spread_over_trials(problem, fit) < config.defect_spread * abs(amount)
+
+
+def _within_a_sample(problem: FitProblem, search: SearchResult, config: SelectionConfig) -> bool:
+    """Whether the first effect, a defect in time, is hardly wider than one sample.
+
+    A force that is predicted from a noisy pressure is noisy too: smoothing it takes noise away,
+    whatever was recorded. And a clock that is off by less than a sample is how samples are held.
+    """
+    candidate, amount = search.best.fit.candidates[0], abs(float(search.best.fit.amounts[0]))
+    spacing_s = min(
+        (_spacing_s(problem, block) for block in candidate.search.blocks), default=float("inf")
+    )
+    if candidate.id.endswith("smoothed"):
+        return float(np.sqrt(amount * 1e-3)) < config.least_smoothed * spacing_s
+    return candidate.search.scan == "clock" and amount * 1e-3 < spacing_s
+
+
+def _spacing_s(problem: FitProblem, block: str) -> float:
+    """Median time in s between the points of a block; infinite where it has none."""
+    points = problem.grid.points.get(block)
+    if points is None:
+        return float("inf")
+    steps = np.diff(points.time_s)[np.diff(points.trial) == 0]
+    return float(np.median(steps)) if len(steps) else float("inf")
 
 
 def _may_be_slow_sensor(search: SearchResult, config: SelectionConfig) -> bool:

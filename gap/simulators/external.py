@@ -6,9 +6,11 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from time import perf_counter
 
 import numpy as np
 
+from daq.progress import stage as tell
 from gap.data.simulator import Parameter, Stage
 from gap.data.trial import Channel, Trial
 from gap.errors import GapError
@@ -18,6 +20,8 @@ from gap.simulators.inputs import sampled, stage_sources, wanted_times
 from plant.arrays import Array
 from plant.effects.effects import Effects
 
+_SLOW_S = 5.0
+"""Time in runs of a simulator from which they are told of."""
 _LONGEST = 1000
 """Characters of a path."""
 NO_TIME = "is a table of settled points, without time"
@@ -38,6 +42,7 @@ class External(ABC):
         self._covariance = about.covariance(self._parameters)
         self._nominal = {p.name: p.nominal for p in self._parameters}
         self._kept = Cached()
+        self._runs, self._run_s = 0, 0.0
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -94,7 +99,17 @@ class External(ABC):
             GapError: the simulator failed; names the file, the trial and the point.
         """
         values = self._values(parameters)
-        return self._kept.get(trial, values, lambda: self._predicted(trial, values))
+        return self._kept.get(trial, values, lambda: self._timed(trial, values))
+
+    def _timed(self, trial: Trial, values: Mapping[str, float]) -> dict[str, Channel]:
+        """One run; a slow simulator is told of, for it alone decides how long all takes."""
+        start = perf_counter()
+        made = self._predicted(trial, values)
+        self._runs += 1
+        self._run_s += perf_counter() - start
+        if self._run_s > _SLOW_S:
+            tell(f"{self.origin}: {self._runs} runs, {self._run_s / self._runs:.2g} s each")
+        return made
 
     def _values(self, parameters: Mapping[str, float]) -> dict[str, float]:
         for name in parameters:

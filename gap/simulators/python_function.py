@@ -8,8 +8,10 @@ user's own code, named on the command line by way of its description, and it run
 from __future__ import annotations
 
 import importlib
+import sys
 import traceback
 from collections.abc import Callable, Mapping
+from contextlib import redirect_stdout
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -91,16 +93,22 @@ class _Named:
         return GapError(f"{where}, trial {trial}" if trial else where, what, remedy)
 
     def call(self, trial: str, *arguments: Any) -> Any:
-        """What the function returns; whatever it raises becomes one line."""
+        """What the function returns; whatever it raises becomes one line.
+
+        What it prints goes to standard error: standard output may be JSON.
+        """
         try:
-            return self._function(*arguments)
-        except Exception as error:
+            with redirect_stdout(sys.stderr):
+                return self._function(*arguments)
+        except (Exception, SystemExit) as error:
             raise self.error(
                 trial, f"raised {first_line(error)}{_place(error)}", _remedy(error)
             ) from None
 
     def array(self, trial: str, given: Any, shape: tuple[int, ...]) -> Array:
         """Numbers of the expected shape."""
+        if np.iscomplexobj(given):
+            raise self.error(trial, "returned complex numbers, expected real ones")
         try:
             made = np.asarray(given, dtype=np.float64)
         except (TypeError, ValueError):
@@ -112,12 +120,12 @@ class _Named:
         return made
 
 
-def _place(error: Exception) -> str:
+def _place(error: BaseException) -> str:
     frames = traceback.extract_tb(error.__traceback__)[1:]
     return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
 
 
-def _remedy(error: Exception) -> str:
+def _remedy(error: BaseException) -> str:
     name = error.args[0] if isinstance(error, KeyError) and error.args else None
     if name in (*CHANNELS, *COMMANDS, "load_kg"):
         return f"the trial has no {name}; supply_kpa and temperature_c may be stated under [inputs]"

@@ -88,7 +88,7 @@ def residual_maps(problem: FitProblem, fit: FitResult) -> list[Course]:
 def _course(
     x: Array, span: Array, trial: Whole, before: Array, after: Array
 ) -> tuple[Array, Array, Array, Array, Array, Whole] | None:
-    good = np.isfinite(x)
+    good = np.isfinite(x) & (span > 0.0)
     if good.sum() < 3 or float(np.ptp(x[good])) < 1e-6:
         return None
     x, span, before, after = (a[good] for a in (x, span, before, after))

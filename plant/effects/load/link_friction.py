@@ -139,7 +139,7 @@ LINK_FRICTION = Effect(
             {"travel_mm": 0.5},
             {"knee_mm_s": 0.3, "fall_mm_s": 6.0},
             {"knee_mm_s": 1.0, "step_mm": 1.5},
-            {"rest_knee_mm_s": 0.05},
+            {"rest_knee_mm_s": 0.07},
         ),
         free={
             "knee_mm_s": (0.05, 30.0),
