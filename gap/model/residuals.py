@@ -18,7 +18,7 @@ from gap.model.grid import Grid, full_values, room_temperature, trial_order
 from gap.model.nominal import NominalPlant
 from gap.model.threads import each
 from plant.arrays import Array
-from plant.constants import KEYS, PlantConstants
+from plant.constants import KEYS, STANDARD_GRAVITY_M_S2, PlantConstants
 from plant.effects import pressure_stage
 from plant.effects.arguments import Context, Points
 
@@ -243,7 +243,11 @@ class Model:
             given = np.where(without, self.pull("load", points, c, active, more_n), given)
         missing = asked - given
         least, most = laws.drag_slack(points, active)
-        return missing - np.where(without, 0.0, np.clip(missing, least, most))
+        # A load at rest may be held by anything up to its friction: zeros and noise of the forces
+        # are no part of it.
+        small = _HOLDS_NOTHING * points.mass * STANDARD_GRAVITY_M_S2
+        holds = ~without & (np.abs(missing) > small)
+        return missing - np.where(holds, np.clip(missing, least, most), 0.0)
 
     def _camera(self, points: Points, c: PlantConstants, active: Active) -> Array:
         true = laws.true_length(points, active, c)
@@ -312,6 +316,11 @@ class Model:
 
     def _parameters(self, c: PlantConstants, active: Active) -> Array:
         return chamber.parameters(c, active, self.grid.data.constants.supply_pa)
+
+
+_HOLDS_NOTHING = 0.05
+"""Share of a load's weight up to which what is missing is not for friction to hold. No other value
+was tried."""
 
 
 def shifted(c: PlantConstants, key: str, amount_si: float) -> PlantConstants:
