@@ -22,6 +22,8 @@ _STEP = 0.05
 """Change of a number's logarithm at which its signature is taken."""
 _STRIDE = 0.8
 """Largest change of a logarithm in one round."""
+_LEAST_SAMPLES = 3.0
+"""Samples that a time constant of a force must last. A matter of definition."""
 LOOSE = 1.0
 """Sd of a number's logarithm about that of the candidate it came from."""
 
@@ -74,12 +76,20 @@ def _prior(fit: FitResult, free: list[tuple[int, str]], start: Array) -> float:
 
 
 def _with(
-    candidates: Sequence[Candidate], free: list[tuple[int, str]], logs: Array
+    problem: FitProblem,
+    candidates: Sequence[Candidate],
+    free: list[tuple[int, str]],
+    logs: Array,
 ) -> list[Candidate]:
-    """Suspects with their free numbers set, each within its range."""
+    """Suspects with their free numbers set, each within its range.
+
+    A force that follows its cause in less than a few samples only takes noise off that cause.
+    """
     made = list(candidates)
     for (j, key), log in zip(free, logs.tolist(), strict=True):
         low, high = made[j].free[key]
+        if key == "tau_s" and "pressure" not in made[j].blocks:
+            low = min(max(low, _LEAST_SAMPLES * problem.grid.spacing_s(made[j].blocks)), high)
         value = float(np.clip(np.exp(log), low, high))
         made[j] = dataclasses.replace(made[j], shape={**made[j].shape, key: value})
     return made
@@ -94,7 +104,7 @@ def _slopes(problem: FitProblem, fit: FitResult, free: list[tuple[int, str]]) ->
         for way in (-_STEP, _STEP):
             moved = logs.copy()
             moved[i] += way
-            candidates = _with(fit.candidates, free, moved)
+            candidates = _with(problem, fit.candidates, free, moved)
             span = _numbers(candidates, free)[i]
             ends.append((problem.residual_at(fit.shift, candidates, fit.amounts), span))
         span = ends[1][1] - ends[0][1]
@@ -110,5 +120,5 @@ def _moved(
     n, amounts = len(fit.shift), len(fit.amounts)
     logs = _numbers(fit.candidates, free)
     logs = logs + np.clip(beta[n + amounts :], -_STRIDE, _STRIDE)
-    candidates = _with(fit.candidates, free, logs)
+    candidates = _with(problem, fit.candidates, free, logs)
     return problem.at(fit.shift + beta[:n], candidates, fit.amounts + beta[n : n + amounts], fit)

@@ -7,6 +7,7 @@ edges and at means over 20 ms elsewhere. No channel is filtered more than anothe
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,6 +52,14 @@ class Grid:
     edge_of: Whole
     supply: Array
     regulated: tuple[bool, ...]
+
+    def spacing_s(self, blocks: Iterable[str]) -> float:
+        """Least median time in s between the points of some blocks; 0 where they have none."""
+        found = []
+        for points in (self.points[block] for block in blocks if block in self.points):
+            steps = np.diff(points.time_s)[(np.diff(points.trial) == 0) & ~points.settled[1:]]
+            found += [float(np.median(steps))] if len(steps) else []
+        return min(found, default=0.0)
 
 
 def make_grid(data: DataSet) -> Grid:

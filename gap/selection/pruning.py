@@ -95,21 +95,10 @@ def _within_a_sample(problem: FitProblem, search: SearchResult, config: Selectio
     whatever was recorded. And a clock that is off by less than a sample is how samples are held.
     """
     candidate, amount = search.best.fit.candidates[0], abs(float(search.best.fit.amounts[0]))
-    spacing_s = min(
-        (_spacing_s(problem, block) for block in candidate.search.blocks), default=float("inf")
-    )
+    spacing_s = problem.grid.spacing_s(candidate.search.blocks)
     if candidate.id.endswith("smoothed"):
         return float(np.sqrt(amount * 1e-3)) < config.least_smoothed * spacing_s
     return candidate.search.scan == "clock" and amount * 1e-3 < spacing_s
-
-
-def _spacing_s(problem: FitProblem, block: str) -> float:
-    """Median time in s between the points of a block; infinite where it has none."""
-    points = problem.grid.points.get(block)
-    if points is None:
-        return float("inf")
-    steps = np.diff(points.time_s)[np.diff(points.trial) == 0]
-    return float(np.median(steps)) if len(steps) else float("inf")
 
 
 def _may_be_slow_sensor(search: SearchResult, config: SelectionConfig) -> bool:
