@@ -380,11 +380,15 @@ def _with_calibration(case: _Case, finding: _Finding) -> _Finding:
     against: dict[str, tuple[float, str]] = {}
     for candidate, amount in zip(fit.candidates, fit.amounts.tolist(), strict=True):
         key = next((k for k, name in CALIBRATION.items() if name == candidate.id), "")
-        if key in stated and abs(amount) > case.config.against_calibration * stated[key]:
+        if (
+            candidate.id in finding.sure
+            and key in stated
+            and abs(amount) > case.config.against_calibration * stated[key]
+        ):
             against[candidate.id] = (abs(amount) / stated[key], key)
-    sure = tuple(name for name in finding.sure if name not in against)
-    if len(sure) == len(finding.sure):
+    if not against:
         return finding
+    sure = tuple(name for name in finding.sure if name not in against)
     name = max(against, key=lambda one: against[one])
     times, key = against[name]
     why = reason(Cause.CALIBRATED, names=name, times=times, key=key)

@@ -112,12 +112,10 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
     classes = _classes(model)
     clear = rows.doubt**2 + rows.adrift**2 < 0.3 * noise.white
     alike = same_conditions(data)
-    pairs: list[_Pair] = []
-    # Where motion between frames leaves doubt in nearly every row, that is in the scatter too.
-    for known in (clear, np.ones(len(rows), dtype=bool)):
-        couples = _couples(model)
-        made = [_Pair(noise, rows, alike, classes, known, a, b, residual) for a, b in couples]
-        pairs = pairs or [pair for pair in made if len(pair.d) > 3]
+    pairs = _pairs(model, noise, alike, classes, clear, residual)
+    if not pairs:
+        # Motion between frames leaves doubt in nearly every row: that is in the scatter too.
+        pairs = _pairs(model, noise, alike, classes, np.ones(len(rows), dtype=bool), residual)
     noise.pairs = len(pairs)
     noise.freedom = sum(len(members) - 1 for members in data.slots.values())
     if pairs:
@@ -139,6 +137,16 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
                 noise.white, noise.scales = before
     noise.white += rows.doubt**2 + rows.floor**2
     return noise
+
+
+def _pairs(
+    model: Model, noise: Noise, alike: Array, classes: Whole, clear: npt.NDArray[np.bool_],
+    residual: Array,
+) -> list[_Pair]:  # fmt: skip
+    """Replicates with enough clear rows in common to tell their scatter."""
+    rows = model.grid.rows
+    made = (_Pair(noise, rows, alike, classes, clear, a, b, residual) for a, b in _couples(model))
+    return [pair for pair in made if len(pair.d) > 3]
 
 
 def usual_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:

@@ -430,19 +430,20 @@ def replay(*arrays: Any, learn: bool) -> None:
 def perturbed(plain: Any, changed: Any, path: Any, *arrays: Any) -> Any:
     """The path of gas that something else has simulated, with what effects do to it.
 
-    Takes the constants without and with the effects, both without what the gauge does, the path,
-    and the arrays of `predict` from `first` on, less readings and what is written to. The steps
-    that the path takes beyond the model are kept: what an effect adds is that of the model, along
-    the path.
+    Takes constants and length without and with the effects, a pair each, without what the gauge
+    does, the path, and the arrays of `predict` less readings, length and what is written to. The
+    steps that the path takes beyond the model are kept: what an effect adds is that of the model,
+    along the path.
     """
-    first, time, *rest, first_edge, edge_s, edge_to, edge_of = arrays
+    first, time, supply, first_edge, edge_s, edge_to, edge_of = arrays
     step, acting, out = (np.empty(len(time)) for _ in range(3))
 
     def run(trials: slice) -> None:
-        nodes = (first[trials], time, path, *rest)
-        edges = (first_edge[trials], edge_s, edge_to, edge_of)
-        replay(plain, *nodes, *edges, out, step, acting, learn=True)
-        replay(changed, *nodes, *edges, out, step, acting, learn=False)
+        for (q, length), learn in ((plain, True), (changed, False)):
+            replay(
+                q, first[trials], time, path, length, supply, first_edge[trials], edge_s, edge_to,
+                edge_of, out, step, acting, learn=learn,
+            )  # fmt: skip
 
     each(run, _parts(first))
     return out
