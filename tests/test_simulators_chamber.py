@@ -22,6 +22,7 @@ from gap.data.dataset import DataSet
 from gap.data.reader import read_dataset
 from gap.data.simulator import PRESSURE_STAGE, Parameter, Stage
 from gap.data.trial import Channel, Trial
+from gap.decision.diagnose import diagnose
 from gap.effects.candidates import CANDIDATES
 from gap.estimation.fit_problem import FitProblem, FitResult
 
@@ -113,3 +114,12 @@ def test_a_zero_of_the_gauge_is_also_in_the_pressure_it_was_started_from(tmp_pat
     left, found = with_effect(recorded(tmp_path / "set", zero_kpa=ZERO_KPA), "pressure_zero")
     assert found.amounts[0] == pytest.approx(ZERO_KPA, rel=0.05)
     assert left < 0.03
+
+
+def test_what_the_calibration_denies_is_offered_and_not_named(tmp_path: Path) -> None:
+    data = recorded(tmp_path / "set", lag_s=LAG_S, zero_kpa=ZERO_KPA)
+    named = diagnose(data)
+    assert set(named.sure) == {"pressure_lag", "pressure_zero"}
+    denied = diagnose(replace(data, calibration={"pressure_zero_kpa": 0.5}))
+    assert denied.sure == ("pressure_lag",)
+    assert "times what calibration.toml states of pressure_zero_kpa" in str(denied.reason)

@@ -161,6 +161,9 @@ class SelectionConfig:
     """Width of a smoothing, one sd over the spacing of samples, below which it may only take away
     what a noisy pressure brings into a predicted force: seven of eight benches of another generator
     without any effect were called unknown for 0.6 to 1.1. No other value was tried."""
+    shared_chance: float = 4.0
+    """Chi-square that replicates must share, in sd of chance, for a smoothing to be no noise. As
+    for an unknown gap (`DecisionConfig.unexplained_chance`)."""
     defect_worse_share: float = 0.1
     """Share of the gap by which effects may fit worse than a defect and still be named."""
     least_clock_ms: float = 5.0

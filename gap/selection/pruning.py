@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import t as student
 
+from gap.estimation.agreement import shared_chi2
 from gap.estimation.cross_validation import HeldOut, held_out
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.selection.backward import refitted_without
@@ -51,7 +52,7 @@ def prune(
     candidates = search.best.fit.candidates
     if not any(candidate.defect for candidate in candidates):
         return PruningResult(_needed(problem, _exchanged(problem, search, config), config))
-    first = candidates[0].defect and not _within_a_sample(problem, search, config)
+    first = candidates[0].defect and not _is_no_fault(problem, search, config)
     sure = first and _is_defect(problem, search, config)
     if sure and not _may_be_slow_sensor(search, config):
         return PruningResult(search, defect=True)
@@ -88,16 +89,22 @@ def _is_defect(problem: FitProblem, search: SearchResult, config: SelectionConfi
     return _spread_over_trials(problem, fit) < config.defect_spread * abs(amount)
 
 
-def _within_a_sample(problem: FitProblem, search: SearchResult, config: SelectionConfig) -> bool:
-    """Whether the first effect, a defect in time, is hardly wider than one sample.
+def _is_no_fault(problem: FitProblem, search: SearchResult, config: SelectionConfig) -> bool:
+    """Whether the first effect, a defect in time, is hardly wider than one sample, or noise.
 
     A force that is predicted from a noisy pressure is noisy too: smoothing it takes noise away,
-    whatever was recorded. And a clock that is off by less than a sample is how samples are held.
+    whatever was recorded; what replicates share is no such noise. And a clock that is off by less
+    than a sample is how samples are held.
     """
     candidate, amount = search.best.fit.candidates[0], abs(float(search.best.fit.amounts[0]))
     spacing_s = problem.grid.spacing_s(candidate.search.blocks)
     if candidate.id.endswith("smoothed"):
-        return float(np.sqrt(amount * 1e-3)) < config.least_smoothed * spacing_s
+        shared = shared_chi2(problem, problem.base.residual)
+        return float(
+            np.sqrt(amount * 1e-3)
+        ) < config.least_smoothed * spacing_s or shared < config.shared_chance * np.sqrt(
+            2.0 * len(problem.rows)
+        )
     return candidate.search.scan == "clock" and amount * 1e-3 < spacing_s
 
 
