@@ -107,6 +107,10 @@ _MADE_UP_SD = 3.0
 """
 
 
+_WORTH_OF_LEFT = 0.1
+"""Share of what the first run leaves that another one must explain. No other value was tried."""
+
+
 def _run_where_less_is_left(
     problem: FitProblem, found: SearchResult
 ) -> tuple[FitProblem, SearchResult]:
@@ -119,7 +123,10 @@ def _run_where_less_is_left(
         return problem, found
     again = search_effects(stated)
     fewer = found.alarm * (len(found.best.keys) - len(again.best.keys))
-    return (stated, again) if again.best.cost < found.best.cost + fewer else (problem, found)
+    gained = found.best.cost + fewer - again.best.cost
+    # Away from where it runs a simulator is a straight line only: a little is no reason.
+    worth = found.alarm + _WORTH_OF_LEFT * found.left
+    return (stated, again) if gained > worth else (problem, found)
 
 
 def has_sure_effect(verdict: Verdict) -> bool:
