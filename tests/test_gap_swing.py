@@ -12,6 +12,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 import pytest
 
@@ -23,6 +24,8 @@ from gap.estimation.fit_problem import FitProblem
 from gap.model.features import BLOCKS
 from gap.model.grid import make_grid
 from gap.validation.maps import residual_maps
+
+Array = npt.NDArray[np.float64]
 
 FRAMES_HZ, LOAD_KG, PRESSURE_KPA = 30.0, 0.2, 300.0
 SWING_MM, SWING_HZ = 0.3, 18.0
@@ -81,27 +84,6 @@ def test_the_courses_of_a_residual_leave_out_what_stands_for_no_time(tmp_path: P
     assert np.isfinite(over["time"].before).all()
 
 
-def cycled(folder: Path, load_kg: float, noise_mm: float) -> DataSet:
-    """Three replicates of a slow cycle under a load, read by a wire five times a second."""
-    rng = np.random.default_rng(8)
-    t = np.arange(0.0, 60.0, 0.2)
-    trials, samples = [], []
-    for replicate in (1, 2, 3):
-        name = f"cycle {replicate}"
-        trials.append({"trial": name, "slot": "cycle", "replicate": replicate,
-                       "protocol": "isotonic", "load_kg": load_kg})  # fmt: skip
-        samples.append(pd.DataFrame({
-            "trial": name, "time_s": t,
-            "pressure_kpa": 500.0 - 200.0 * np.abs(t / 30.0 - 1.0),
-            "length_mm": 66.0 - 8.0 * (1.0 - np.abs(t / 30.0 - 1.0))
-            + noise_mm * rng.standard_normal(len(t)),
-        }))  # fmt: skip
-    folder.mkdir()
-    pd.DataFrame(trials).to_csv(folder / "trials.csv", index=False)
-    pd.concat(samples).to_csv(folder / "samples.csv", index=False)
-    return read_dataset(folder)
-
-
 def test_the_noise_of_a_slow_reading_of_length_is_no_swing(tmp_path: Path) -> None:
     data = cycled(tmp_path / "set", load_kg=10.0, noise_mm=0.04)
     rows = make_grid(data).rows
@@ -110,24 +92,39 @@ def test_the_noise_of_a_slow_reading_of_length_is_no_swing(tmp_path: Path) -> No
     assert FitProblem.of(data, list(CANDIDATES)).noise.pairs > 0
 
 
-def still(folder: Path, load_kg: float, noise_mm: float) -> DataSet:
-    """Three replicates of a load that hangs still, seen by a camera of 100 frames a second."""
+def replicates(
+    folder: Path, load_kg: float, time_s: Array, kpa: Array, length_mm: Array, noise_mm: float
+) -> DataSet:
+    """Three replicates of a load on a course of pressure and length, read with noise."""
     rng = np.random.default_rng(7)
-    t = np.arange(0.0, 6.0, 0.01)
     trials, samples = [], []
     for replicate in (1, 2, 3):
         name = f"load {replicate}"
         trials.append({"trial": name, "slot": "load", "replicate": replicate,
                        "protocol": "isotonic", "load_kg": load_kg})  # fmt: skip
         samples.append(pd.DataFrame({
-            "trial": name, "time_s": t,
-            "pressure_kpa": PRESSURE_KPA + 0.05 * rng.standard_normal(len(t)),
-            "length_mm": 60.0 + noise_mm * rng.standard_normal(len(t)),
+            "trial": name, "time_s": time_s,
+            "pressure_kpa": kpa + 0.05 * rng.standard_normal(len(time_s)),
+            "length_mm": length_mm + noise_mm * rng.standard_normal(len(time_s)),
         }))  # fmt: skip
     folder.mkdir()
     pd.DataFrame(trials).to_csv(folder / "trials.csv", index=False)
     pd.concat(samples).to_csv(folder / "samples.csv", index=False)
     return read_dataset(folder)
+
+
+def still(folder: Path, load_kg: float, noise_mm: float) -> DataSet:
+    """A load that hangs still, seen by a camera of 100 frames a second."""
+    t = np.arange(0.0, 6.0, 0.01)
+    flat = np.ones(len(t))
+    return replicates(folder, load_kg, t, PRESSURE_KPA * flat, 60.0 * flat, noise_mm)
+
+
+def cycled(folder: Path, load_kg: float, noise_mm: float) -> DataSet:
+    """A slow cycle under a load, read by a wire five times a second."""
+    t = np.arange(0.0, 60.0, 0.2)
+    way = np.abs(t / 30.0 - 1.0)
+    return replicates(folder, load_kg, t, 500.0 - 200.0 * way, 58.0 + 8.0 * way, noise_mm)
 
 
 @pytest.mark.parametrize(("load_kg", "noise_mm"), [(2.0, 0.02), (16.0, 0.02), (16.0, 0.05)])
