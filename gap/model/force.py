@@ -228,8 +228,10 @@ def drag_slack(points: Points, active: Active) -> tuple[Array, Array]:
         on = term.diagnosis
         if on.drag is None or on.drag_range is None:
             continue
-        drag = on.drag(points, term.shape)
-        low, high = on.drag_range(points, term.shape)
+        ends = on.drag_range(points, term.shape)
+        if ends is None:
+            continue
+        drag, (low, high) = on.drag(points, term.shape), ends
         least = least + term.amount * np.minimum(low - drag, 0.0)
         most = most + term.amount * np.maximum(high - drag, 0.0)
     return least, most

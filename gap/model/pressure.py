@@ -34,6 +34,7 @@ from plant.constants import (
 from plant.effects import pressure_stage as stage
 from plant.effects.reference import FULL_PRESSURE_PA
 from plant.physics import flow, layout, muscle
+from plant.physics.lag import follow
 from plant.physics.layout import nominal_slots
 
 FOLLOW_S = 5.0
@@ -43,6 +44,7 @@ _MOST_RATIO = 0.95
 _factor = inlined(flow.subsonic_factor)
 _outward = called(flow.outward_drive)
 _braid_volume = inlined(muscle.braid_volume)
+_follow = inlined(follow)
 _PENDING = 32
 _FOLLOW, _LEARN, _APPLY = 0, 1, 2
 ACTS_S = 0.03
@@ -467,9 +469,7 @@ def _build_lag(sources: int) -> Callable[..., None]:
                     out[i] = path[i]
                     continue
                 h = time[i] - time[i - 1]
-                behind = lag_s * (path[i] - path[i - 1]) / h
-                kept = math.exp(-h / lag_s)
-                out[i] = path[i] - behind + (out[i - 1] - path[i - 1] + behind) * kept
+                out[i] = _follow(out[i - 1], path[i - 1], path[i], h, lag_s)
 
     return lag
 

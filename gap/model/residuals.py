@@ -278,8 +278,8 @@ class Model:
         q[[getattr(pressure_stage, of) for of in ("ZERO", "GAIN", "LAG", "LAG_BEFORE")]] = 0.0
         path = self.nominal.pressure_from(self.nominal.shift(active), zero, gain)
         context = replace(self._plain_context, constants=c)
-        length = self._length_in_braid(points, c, active)
-        stated = self._length_in_braid(points, c, [])
+        length = self.length_in_braid(points, c, active)
+        stated = self.length_in_braid(points, c, [])
         if not (np.array_equal(plain, q) and np.array_equal(stated, length)):
             grid = self.grid
             path = chamber.perturbed(
@@ -291,7 +291,7 @@ class Model:
                 path = chamber.behind_lag(points.first, points.time_s, path, lag_s)
         return laws.gauge_shows(path * (1.0 + gain) + zero, active, context)
 
-    def _length_in_braid(self, points: Points, c: PlantConstants, active: Active) -> Array:
+    def length_in_braid(self, points: Points, c: PlantConstants, active: Active) -> Array:
         """True length in m, within what the chamber's volume is defined for."""
         true = laws.true_length(points, active, c)
         return np.ascontiguousarray(np.clip(true, 1e-4, 0.999 * c.braid_length_m))
@@ -305,7 +305,7 @@ class Model:
         """
         grid = self.grid
         q = self._parameters(c, active)
-        length = self._length_in_braid(points, c, active)
+        length = self.length_in_braid(points, c, active)
         supply = grid.supply
         out = np.empty(len(points.reading))
         fall = np.zeros(1)

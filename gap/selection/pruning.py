@@ -99,12 +99,9 @@ def _is_no_fault(problem: FitProblem, search: SearchResult, config: SelectionCon
     candidate, amount = search.best.fit.candidates[0], abs(float(search.best.fit.amounts[0]))
     spacing_s = problem.grid.spacing_s(candidate.search.blocks)
     if candidate.id.endswith("smoothed"):
-        shared = shared_chi2(problem, problem.base.residual)
-        return float(
-            np.sqrt(amount * 1e-3)
-        ) < config.least_smoothed * spacing_s or shared < config.shared_chance * np.sqrt(
-            2.0 * len(problem.rows)
-        )
+        noise = config.shared_chance * np.sqrt(2.0 * len(problem.rows))
+        narrow = np.sqrt(amount * 1e-3) < config.least_smoothed * spacing_s
+        return bool(narrow or shared_chi2(problem, problem.base.residual) < noise)
     return candidate.search.scan == "clock" and amount * 1e-3 < spacing_s
 
 

@@ -112,8 +112,7 @@ class Chain:
     ) -> Array:
         points, grid = self._points["pressure"], self.grid
         parameters = self.problem.model._parameters(c, active)
-        true = laws.true_length(points, active, c)
-        length = np.ascontiguousarray(np.clip(true, 1e-4, 0.999 * c.braid_length_m))
+        length = self.problem.model.length_in_braid(points, c, active)
         out = np.empty(len(points.reading))
         acting = self._acting if learn else np.empty(len(points.reading))
         chamber.replay(

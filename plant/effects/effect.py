@@ -150,7 +150,7 @@ class InDiagnosis:
         mass: (points, amount, shape, constants) -> kg beside the stated load.
         drag: (points, shape) -> friction of the load for an amount of one.
         drag_range: (points, shape) -> the least and the most that it may be: a load that sticks is
-            held by what it takes. It counts where the force above the load is read.
+            held by what it takes. It counts where the force above the load is read. None: `drag`.
         gas: (params, amount, option, shape) writes slots of `plant.effects.pressure_stage`.
         late: (amount, constants) -> s by which each stroke of the effect's edge is late.
         largest_fall: whether the headline parameter is the largest fall of the supply in the
@@ -172,7 +172,7 @@ class InDiagnosis:
     pressure_shown: Callable[[Array, Points, float], Array] | None = None
     mass: Callable[[Points, float, Shape, PlantConstants], Array] | None = None
     drag: Callable[[Points, Shape], Array] | None = None
-    drag_range: Callable[[Points, Shape], tuple[Array, Array]] | None = None
+    drag_range: Callable[[Points, Shape], tuple[Array, Array] | None] | None = None
     gas: Callable[[Params, float, str, Shape], None] | None = None
     late: Callable[[float, PlantConstants], float] | None = None
     largest_fall: bool = False

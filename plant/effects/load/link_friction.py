@@ -49,7 +49,8 @@ def _sliding(points: Points, shape: Shape) -> Array:
     if "travel_mm" in shape:
         return _slip(points, points.length / (shape["travel_mm"] * 1e-3))
     speed = points.rate * 1e3
-    slip = np.tanh(speed / shape.get("knee_mm_s", shape.get("rest_knee_mm_s", np.inf)))
+    knee = "rest_knee_mm_s" if "rest_knee_mm_s" in shape else "knee_mm_s"
+    slip = np.tanh(speed / shape[knee])
     if "fall_mm_s" in shape:  # Stribeck's part, gone at speed
         slip = slip * np.exp(-((speed / shape["fall_mm_s"]) ** 2))
     come = -points.direction
@@ -62,23 +63,23 @@ def _sliding(points: Points, shape: Shape) -> Array:
     return np.where(points.direction != 0.0, come, np.where(points.settled, 0.0, slip))
 
 
-def _range(points: Points, shape: Shape) -> tuple[Array, Array]:
+def _range(points: Points, shape: Shape) -> tuple[Array, Array] | None:
     """Least and most slip, -1 to 1, of a load at speeds at which it may as well stick.
 
     Between none and all of it, with the sign of the motion, until it has come some way; where noise
     hides the sign, of either.
     """
-    drag = _sliding(points, shape)
     knee = shape.get("rest_knee_mm_s")
     if knee is None:
-        return drag, drag
+        return None
+    drag = _sliding(points, shape)
     path = (points.direction == 0.0) & ~points.settled
     hidden = _HIDDEN_SD * points.rate_sd * 1e3 + _AT_REST * knee
     slow = np.tanh((points.rate * 1e3 - hidden) / knee)
     fast = np.tanh((points.rate * 1e3 + hidden) / knee)
-    # From one full slip to the other is twice the unit. Noise takes a part of it back.
-    sure = np.where(path, _slip(points, points.length / (0.6 * _SURE_MM * 1e-3)), 0.0)
-    sure = np.where(sure * points.rate > 0.0, np.clip(1.5 * sure, -1.0, 1.0), 0.0)
+    # Noise takes a part of a slip back: two thirds of it count as all of it.
+    slip = np.where(path, _slip(points, points.length / (0.6 * _SURE_MM * 1e-3)), 0.0)
+    sure = np.where(slip * points.rate > 0.0, np.clip(1.5 * slip, -1.0, 1.0), 0.0)
     least = np.where(path, np.minimum(slow, np.maximum(sure, 0.0)), drag)
     most = np.where(path, np.maximum(fast, np.minimum(sure, 0.0)), drag)
     return least, most
