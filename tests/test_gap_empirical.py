@@ -26,8 +26,9 @@ from gap.estimation.fit_problem import FitProblem
 from gap.reason import Cause, Reason
 from gap.reporting.empirical import empirical_figure, empirical_lines
 from gap.validation.config import VALIDATION
-from gap.validation.empirical import _closes, empirical_term, search_of
+from gap.validation.empirical import _closes, empirical_term
 from gap.validation.improved_plant import improved_plant
+from gap.validation.terms.search import search_of
 from gap.verdict import EmpiricalTerm, Status, Verdict
 from gap_bench import write_set
 from plant.constants import nominal

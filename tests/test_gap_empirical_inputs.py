@@ -5,6 +5,7 @@ Expected values come from the braid's equations and the gas law, written here by
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +14,21 @@ import pandas as pd
 import pytest
 
 from gap.data.reader import read_dataset
-from gap.model.empirical import inputs_of, point_inputs_of, risen, valve_flows
+from gap.estimation.fit_problem import FitProblem
+from gap.model.empirical import (
+    Flow,
+    _share_open,
+    inputs_of,
+    point_inputs_of,
+    risen,
+    valve_flows,
+)
 from gap.model.features import BLOCKS
 from gap.model.grid import Grid, make_grid
+from gap.validation.empirical import empirical_term
 from gap_bench import write_set
-from plant.constants import nominal
-from plant.effects.empirical import EDGE_S, INLET_EDGE, OUTLET_EDGE
+from plant.constants import PlantConstants, nominal
+from plant.effects.empirical import INLET_FLOW, LATE, OUTLET_FLOW
 
 Array = npt.NDArray[np.float64]
 NOISE_KPA = 0.4
@@ -94,15 +104,83 @@ def valve_grid(folder: Path) -> Grid:
     return make_grid(read_dataset(write_set(folder, {})))
 
 
-def test_a_valve_s_edge_flow_lasts_for_a_moment_after_its_own_commands(tmp_path: Path) -> None:
-    grid = valve_grid(tmp_path / "data")
-    flows = valve_flows(grid, nominal())
-    since = point_inputs_of(grid, "pressure", ("since_edge_s",))["since_edge_s"]
-    for scale, sign in ((INLET_EDGE, 1.0), (OUTLET_EDGE, -1.0)):
-        assert np.all(flows[scale][since >= EDGE_S] == 0.0)
-        assert np.abs(flows[scale]).max() > 0.0
-        assert np.all(sign * flows[scale] >= 0.0)
-    assert not np.any((flows[INLET_EDGE] != 0.0) & (flows[OUTLET_EDGE] != 0.0))
+def residual_of(problem: FitProblem, changed: PlantConstants) -> Array:
+    """What the stated effects leave of the pressure with other constants."""
+    found = problem.model.residual(changed, problem.base.active, ("pressure",))
+    return np.asarray(found["pressure"])
+
+
+@pytest.fixture(scope="module")
+def valve_problem(tmp_path_factory: pytest.TempPathFactory) -> FitProblem:
+    folder = tmp_path_factory.mktemp("valve") / "data"
+    return FitProblem.of(read_dataset(write_set(folder, {})))
+
+
+def test_a_share_of_the_inlet_s_flow_is_what_a_wider_inlet_passes(
+    valve_problem: FitProblem,
+) -> None:
+    """The simulated gas takes it in: far from where it would be in proportion, too."""
+    c = valve_problem.data.constants
+    count = len(valve_problem.grid.points["pressure"].time_s)
+    for share in (-0.3, 0.3):
+        flow = Flow({INLET_FLOW: np.full(count, share)})
+        active = valve_problem.base.active
+        with_flow = valve_problem.model.pressure_with_flow(flow, c, active)
+        wider = c.inlet_conductance_m3_s_pa * (1.0 + share)
+        expected = residual_of(valve_problem, replace(c, inlet_conductance_m3_s_pa=wider))
+        plain = residual_of(valve_problem, c)
+        assert np.abs(expected - plain).max() > 5.0
+        assert with_flow == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("scale", LATE)
+def test_a_late_valve_is_one_with_a_longer_delay(valve_problem: FitProblem, scale: str) -> None:
+    c = valve_problem.data.constants
+    count = len(valve_problem.grid.points["pressure"].time_s)
+    flow = Flow({scale: np.full(count, 3.0)})
+    shown = valve_problem.model.pressure_with_flow(flow, c, valve_problem.base.active)
+    field = f"{scale.removesuffix('_ms')}_s"
+    later = replace(c, **{field: getattr(c, field) + 3e-3})
+    expected = residual_of(valve_problem, later)
+    assert np.abs(expected - residual_of(valve_problem, c)).max() > 1.0
+    assert shown == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_flow_in_proportion_is_near_what_the_simulated_gas_does(
+    valve_problem: FitProblem,
+) -> None:
+    """The sums that a search is made from agree with the simulation where a flow is small."""
+    c = valve_problem.data.constants
+    grid = valve_problem.grid
+    for scale, amount in ((INLET_FLOW, 0.03), (OUTLET_FLOW, 0.03), ("inlet_on_ms", 0.3)):
+        through = valve_flows(grid, c)[scale]
+        raised = risen(grid, amount * through[:, None], c)[:, 0]
+        flow = Flow({scale: np.full(len(through), amount)})
+        shown = valve_problem.model.pressure_with_flow(flow, c, valve_problem.base.active)
+        does = residual_of(valve_problem, c) - shown
+        assert np.abs(does - raised).mean() < 0.2 * np.abs(does).mean()
+
+
+def test_nothing_passes_a_valve_that_is_commanded_shut_before_it_has_opened() -> None:
+    """Share of time: open from 1 s to 3 s, and again from 5 s on."""
+    ends = np.array([0.0, 0.5, 1.5, 2.0, 4.0, 6.0])
+    shares = _share_open([(1.0, True), (3.0, False), (5.0, True)], ends)
+    assert shares == pytest.approx([0.0, 0.5, 1.0, 0.5, 0.5])
+    assert _share_open([], ends) == pytest.approx(np.zeros(5))
+
+
+def test_a_valve_that_opens_late_is_told_by_the_time_that_it_takes(tmp_path: Path) -> None:
+    """An inlet opens 6 ms late, and its constants have moved far to make up for it."""
+    effect = {"valve_delay": {"edge": "inlet_on", "delay_ms": 6.0}}
+    problem = FitProblem.of(read_dataset(write_set(tmp_path / "data", effect)))
+    term = empirical_term(problem, problem.base, block="pressure")
+    assert term is not None
+    assert term.closed > 0.5
+    assert [t.scale for t in term.correction.terms] == ["inlet_on_ms"]
+    assert list(term.shares) == ["history"]
+    # The constants bring back what they cannot hold: the rest is the valve's.
+    late_ms = term.correction.terms[0].coefficients[0]
+    assert 0.0 < late_ms < 6.0
 
 
 def test_a_surplus_of_gas_is_gone_once_the_chamber_is_vented(tmp_path: Path) -> None:

@@ -3,54 +3,100 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from gap.model.features import BLOCKS, Rows
 from gap.model.grid import Grid, trial_order
+from gap.model.pressure import Push
 from plant.arrays import Array
+from plant.compiled import entry_point, fingerprint
 from plant.constants import REFERENCE_DENSITY_KG_M3, PlantConstants
 from plant.effects.arguments import Points
 from plant.effects.empirical import (
-    EDGE_S,
+    FLOW,
     FLOWS,
     FORGOTTEN_S,
-    INLET_EDGE,
     INLET_FLOW,
-    OUTLET_EDGE,
+    LATE,
     OUTLET_FLOW,
     VALVE_FLOW,
     Correction,
     braid_scales,
     pressure_per_flow,
+    product_splines,
 )
 from plant.effects.trials import without_noise_turns
+from plant.physics.layout import DELAY, DELAY_MODE, DELAY_SLOPE, nominal_slots
 from plant.physics.muscle import braid_force
 
 _SLIP_KPA = 15.0
 _SLIP_MM = 1.0
-_SHUTS_S = 0.05
 _LONG_AGO_S = 2.0
 
 
 def correction_at(grid: Grid, correction: Correction, c: PlantConstants) -> Array:
-    """Correction at every row of its block, in the block's unit, shape (rows,)."""
+    """Correction at every row of its block, in the block's unit, shape (rows,).
+
+    Without its flows into the chamber: see `flow_at`.
+    """
     block = correction.block
-    plain = [term for term in correction.terms if term.scale not in FLOWS]
-    flows = [term for term in correction.terms if term.scale in FLOWS]
-    at = inputs_of(grid, block, correction.inputs)
-    if correction.scales:
+    plain = Correction(block, tuple(t for t in correction.terms if t.scale not in FLOWS))
+    at = inputs_of(grid, block, plain.inputs)
+    if plain.scales:
         at |= scales_of(grid, block, c)
-    count = int(grid.points[block].row.max(initial=-1)) + 1
-    made = Correction(block, tuple(plain)).value(at, count)
-    if flows:
-        inside = point_inputs_of(grid, block, correction.inputs)
-        inside |= valve_flows(grid, c)
-        points = len(grid.points[block].time_s)
-        flow = Correction(block, tuple(flows)).value(inside, points)
-        made = made + risen(grid, flow[:, None], c)[:, 0]
-    return made
+    return plain.value(at, int(grid.points[block].row.max(initial=-1)) + 1)
+
+
+def flow_at(grid: Grid, correction: Correction, c: PlantConstants) -> Flow | None:
+    """Flow that a correction lets into the chamber; None where it has no such term."""
+    count = len(grid.points[correction.block].time_s)
+    terms = [term for term in correction.terms if term.scale in FLOWS]
+    at = point_inputs_of(grid, correction.block, Correction(correction.block, tuple(terms)).inputs)
+    made = {term.scale: np.zeros(count) for term in terms}
+    for term in terms:
+        columns = product_splines([at[name] for name in term.inputs], term.knots, count)
+        made[term.scale] += columns @ np.asarray(term.coefficients)
+    return Flow(made) if terms else None
+
+
+@dataclass(frozen=True)
+class Flow:
+    """A flow into the chamber at every point of the pressure.
+
+    Attributes:
+        of: by scale of a term, mg/s, a share of a flow or ms, shape (points,) each.
+    """
+
+    of: Mapping[str, Array]
+
+    def mg_s(self, grid: Grid, c: PlantConstants) -> Array:
+        """All of it in mg/s, with the valve as the constants have it, shape (points,)."""
+        through = valve_flows(grid, c)
+        parts = [x * through[scale] if scale in through else x for scale, x in self.of.items()]
+        return np.asarray(np.sum(parts, axis=0))
+
+    def push(self, grid: Grid, c: PlantConstants) -> Push:
+        """What it does to the simulated gas and its valves."""
+        points = grid.points["pressure"]
+        zero = np.zeros(len(points.time_s))
+        own = {scale: self.of.get(scale, zero) for scale in FLOWS}
+        whole = own[VALVE_FLOW]
+        late = [1e-3 * own[scale] for scale in LATE]
+        valves = np.stack([own[INLET_FLOW] + whole, own[OUTLET_FLOW] + whole, *late])
+        per = pressure_per_flow(np.clip(points.length, 1e-4, 0.999 * c.braid_length_m), c)
+        rate = 1e3 * own[FLOW] * per
+        # Where a trial begins nothing is known of the time before.
+        step = np.r_[0.0, np.diff(points.time_s)]
+        step[points.first[:-1][points.first[:-1] < len(step)]] = 0.0
+        before = np.r_[0, np.arange(len(zero) - 1)]
+        return Push(
+            0.5 * step * (rate + rate[before]),
+            np.ascontiguousarray(0.5 * (valves + valves[:, before])),
+        )
 
 
 def risen(grid: Grid, flow: Array, c: PlantConstants) -> Array:
@@ -65,32 +111,50 @@ def risen(grid: Grid, flow: Array, c: PlantConstants) -> Array:
     points = grid.points["pressure"]
     lost = _passing_away(grid, c)
     per = pressure_per_flow(np.clip(points.length, 1e-4, 0.999 * c.braid_length_m), c)
-    rate = flow * per[:, None]
-    total = np.zeros_like(rate)
-    for own in _spans(points):
-        step = np.diff(points.time_s[own])
-        gain = 0.5 * (rate[own][1:] + rate[own][:-1]) * step[:, None]
-        # What is gained in a step passes away from its middle on.
-        kept = np.exp(-step / FORGOTTEN_S - step * 0.5 * (lost[own][1:] + lost[own][:-1]))
-        gain *= np.sqrt(kept)[:, None]
-        state = np.zeros(flow.shape[1])
-        course = total[own]
-        for k in range(len(step)):
-            state = state * kept[k] + gain[k]
-            course[k + 1] = state
-    weighted = total * points.weight[:, None]
-    count = int(points.row.max(initial=-1)) + 1
-    sums = np.zeros((count, flow.shape[1]))
-    np.add.at(sums, points.row, weighted)
+    step = np.r_[0.0, np.diff(points.time_s)]
+    kept = np.exp(-step / FORGOTTEN_S - step * 0.5 * (lost + np.r_[0.0, lost[:-1]]))
+    # What is gained in a step passes away from its middle on.
+    gain = 0.5 * step * np.sqrt(kept)
+    sums = np.zeros((int(points.row.max(initial=-1)) + 1, flow.shape[1]))
+    _rise(
+        points.first, np.ascontiguousarray(flow), per, gain, kept, points.row, points.weight, sums
+    )
     return np.asarray(sums / points.row_weight[:, None])
+
+
+def _build_rise(sources: int) -> Callable[..., None]:
+    vector = "float64[::1]"
+
+    @entry_point(
+        f"void(int64[::1], float64[:, ::1], {vector}, {vector}, {vector}, int64[::1], {vector}, "
+        "float64[:, ::1])"
+    )
+    def rise(
+        first: Any, flow: Any, per: Any, gain: Any, kept: Any, row: Any, weight: Any, sums: Any
+    ) -> None:
+        if sources < 0:
+            return
+        state = np.empty(flow.shape[1])
+        for t in range(len(first) - 1):
+            state[:] = 0.0
+            for k in range(first[t] + 1, first[t + 1]):
+                for j in range(len(state)):
+                    rate = flow[k, j] * per[k] + flow[k - 1, j] * per[k - 1]
+                    state[j] = state[j] * kept[k] + gain[k] * rate
+                    sums[row[k], j] += weight[k] * state[j]
+
+    return rise
+
+
+_rise = _build_rise(fingerprint())
 
 
 def _passing_away(grid: Grid, c: PlantConstants) -> Array:
     """Rate in 1/s at which a surplus of pressure leaves through the open valve, at every point."""
     points = grid.points["pressure"]
     per = pressure_per_flow(np.clip(points.length, 1e-4, 0.999 * c.braid_length_m), c)
-    valve = _edges(grid, points)[1]
-    less = _through(grid, c, valve, 0.0) - _through(grid, c, valve, _SURPLUS_PA)
+    open_share = _open_shares(grid, c)
+    less = open_share * (_through(grid, c, 0.0) - _through(grid, c, _SURPLUS_PA))
     return np.asarray(np.maximum(less.sum(axis=0) * per / (1e-3 * _SURPLUS_PA), 0.0))
 
 
@@ -98,44 +162,93 @@ _SURPLUS_PA = 1e3
 
 
 def valve_flows(grid: Grid, c: PlantConstants) -> dict[str, Array]:
-    """Flows in mg/s into the chamber that a term can be a share of, at every point, by scale.
+    """Flows in mg/s into the chamber that a term is multiplied by, at every point, by scale.
 
-    ISO 6358 with the constants' conductances; out of the chamber a flow is negative. For a moment
-    after a valve is commanded shut its flow is that of the valve as if still open: it may shut
-    late.
+    ISO 6358 with the constants' conductances; out of the chamber a flow is negative. The flow of a
+    valve is what passes while it is open by the constants' delays; that of `LATE` is what passes
+    more if it moves 1 ms later.
+    """
+    through = _through(grid, c, 0.0)
+    share = _open_shares(grid, c)
+    inlet, outlet = share * through
+    made = {
+        VALVE_FLOW: np.asarray(inlet + outlet),
+        INLET_FLOW: np.asarray(inlet),
+        OUTLET_FLOW: np.asarray(outlet),
+    }
+    for which, scale in enumerate(LATE):
+        valve = which // 2
+        later = _open_shares(grid, c, which, _LATER_S)[valve] - share[valve]
+        made[scale] = np.asarray(later * through[valve] * 1e-3 / _LATER_S)
+    return made
+
+
+_LATER_S = 1e-3
+"""Time by which a valve is moved where a slope is taken."""
+
+
+def _open_shares(grid: Grid, c: PlantConstants, late: int = -1, late_s: float = 0.0) -> Array:
+    """Share of the time around each point for which inlet and outlet are open, shape (2, points).
+
+    A valve acts after its delay; a command that has not acted yet when the next one comes is
+    forgotten, unless the constants say that all edges act. `late` is the number of the delay that
+    is longer by `late_s`.
     """
     points = grid.points["pressure"]
-    since, valve = _edges(grid, points)
-    closing = (valve == 0.0) & (since < _SHUTS_S)
-    valve = np.where(closing, _last_open(valve), valve)
-    through_inlet, through_outlet = _through(grid, c, valve, 0.0)
-    soon = since < EDGE_S
-    return {
-        VALVE_FLOW: np.asarray(through_inlet + through_outlet),
-        INLET_FLOW: np.asarray(through_inlet),
-        OUTLET_FLOW: np.asarray(through_outlet),
-        INLET_EDGE: np.asarray(np.where(soon, through_inlet, 0.0)),
-        OUTLET_EDGE: np.asarray(np.where(soon, through_outlet, 0.0)),
-    }
+    slots = nominal_slots(c)
+    if late >= 0:
+        slots[DELAY + late] += late_s
+    made = np.zeros((2, len(points.time_s)))
+    for own in _spans(points):
+        trial = int(points.trial[own.start])
+        time = points.time_s[own]
+        middle = 0.5 * (time[1:] + time[:-1])
+        ends = np.r_[time[0], middle, time[-1]]
+        span = slice(int(grid.first_edge[trial]), int(grid.first_edge[trial + 1]))
+        for valve in range(2):
+            mine = grid.edge_of[span] == valve
+            upstream = grid.supply[own] if valve == 0 else points.pressure[own]
+            turns: list[tuple[float, bool]] = []
+            for at, to in zip(grid.edge_s[span][mine], grid.edge_to[span][mine], strict=True):
+                which = 2 * valve + (0 if to > 0.5 else 1)
+                pressure = float(np.interp(at, time, upstream))
+                delay = slots[DELAY + which] + slots[DELAY_SLOPE + which] * pressure
+                acts = float(at) + max(delay, 0.0)
+                if slots[DELAY_MODE] == 0.0 and turns and turns[-1][0] > at:
+                    turns.pop()
+                else:
+                    turns.append((max(acts, turns[-1][0] if turns else acts), to > 0.5))
+            made[valve, own] = _share_open(turns, ends)
+    return made
 
 
-def _through(grid: Grid, c: PlantConstants, valve: Array, surplus_pa: float) -> Array:
-    """Flows in mg/s through inlet and outlet with a surplus of pressure, shape (2, points)."""
+def _share_open(turns: list[tuple[float, bool]], ends: Array) -> Array:
+    """Share of each span between `ends` for which a valve that turns at some instants is open."""
+    instants = np.array([at for at, _ in turns])
+    state = np.r_[False, [to for _, to in turns]].astype(np.float64)
+    if not len(instants):
+        return np.zeros(len(ends) - 1)
+    # Seconds for which it has been open at each turn, then at each end.
+    sums = np.r_[0.0, np.cumsum(np.diff(instants) * state[1:-1])]
+    last = np.searchsorted(instants, ends, side="right") - 1
+    known = np.maximum(last, 0)
+    open_s = np.where(last >= 0, sums[known] + state[1:][known] * (ends - instants[known]), 0.0)
+    width = np.diff(ends)
+    return np.asarray(np.diff(open_s) / np.where(width > 0.0, width, 1.0))
+
+
+def _through(grid: Grid, c: PlantConstants, surplus_pa: float) -> Array:
+    """Flows in mg/s through inlet and outlet if open, with a surplus of pressure.
+
+    Shape (2, points).
+    """
     outside = c.atmosphere_pa
     inside = np.maximum(grid.points["pressure"].pressure + outside + surplus_pa, 1.0)
     supply = np.maximum(grid.supply + outside, 1.0)
     dense = 1e6 * REFERENCE_DENSITY_KG_M3
     inlet = c.inlet_conductance_m3_s_pa * supply * _factor(inside / supply, c.critical_ratio)
     outlet = c.outlet_conductance_m3_s_pa * inside * _factor(outside / inside, c.critical_ratio)
-    return dense * np.stack(
-        [np.where(valve > 0.0, inlet, 0.0), np.where(valve < 0.0, -outlet, 0.0)]
-    )
-
-
-def _last_open(valve: Array) -> Array:
-    """The last valve that was open, at every point."""
-    at = np.maximum.accumulate(np.where(valve != 0.0, np.arange(len(valve)), 0))
-    return np.asarray(valve[at])
+    return dense * np.stack([inlet, -outlet])
 
 
 def _factor(ratio: Array, critical: float) -> Array:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -46,7 +47,7 @@ _outward = called(flow.outward_drive)
 _braid_volume = inlined(muscle.braid_volume)
 _follow = inlined(follow)
 _PENDING = 32
-_FOLLOW, _LEARN, _APPLY = 0, 1, 2
+_FOLLOW, _LEARN, _APPLY, _PUSH = 0, 1, 2, 3
 ACTS_S = 0.03
 """Seconds after a command's edge in which a valve may still move."""
 
@@ -81,11 +82,13 @@ def laminar_drop(absolute: float, outside: float) -> float:
 
 @inlined
 def _flows(
-    q: Any, p: float, supply: float, inlet: bool, outlet: bool, fall: float, scale: float
-) -> tuple[float, float, float]:
+    q: Any, p: float, supply: float, inlet: bool, outlet: bool, fall: float, scale: float,
+    more_in: float, more_out: float,
+) -> tuple[float, float, float]:  # fmt: skip
     """Mass flow in, mass flow out (kg/s), and the inlet's flow as a share of choked flow.
 
-    `scale` is what conductance and absolute pressure are multiplied by, kg/m3.
+    `scale` is what conductance and absolute pressure are multiplied by, kg/m3; `more_in` and
+    `more_out` are what something else adds to the flows of the valves, as a share of them.
     """
     absolute = p + q[layout.ATMOSPHERE]
     flow_in = 0.0
@@ -96,11 +99,11 @@ def _flows(
         share = _factor(absolute / above, q[layout.INLET_CRITICAL_RATIO])
         wider = 1.0 + q[stage.INLET_DROP] * (supply - fall - p) / FULL_PRESSURE_PA
         flow_in = scale * q[layout.INLET_CONDUCTANCE] * max(wider, 0.02) * above * share
+        flow_in *= max(1.0 + more_in, 0.0)
     area = q[stage.LEAK]
     if outlet:
-        area += q[layout.OUTLET_CONDUCTANCE] * max(
-            1.0 + q[stage.OUTLET_DROP] * p / FULL_PRESSURE_PA, 0.02
-        )
+        wider = max(1.0 + q[stage.OUTLET_DROP] * p / FULL_PRESSURE_PA, 0.02)
+        area += q[layout.OUTLET_CONDUCTANCE] * wider * max(1.0 + more_out, 0.0)
     if area > 0.0:
         flow_out = (
             scale * area * _outward(absolute, q[layout.ATMOSPHERE], q[layout.OUTLET_CRITICAL_RATIO])
@@ -122,7 +125,7 @@ _LEAST_SHARE = 0.05
 @called
 def _advance(
     q: Any, s: Any, span: float, v0: float, v1: float, supply: float, inlet: bool, outlet: bool,
-    scale: float,
+    scale: float, more_in: float, more_out: float,
 ) -> None:  # fmt: skip
     """Move gas state s over `span` s.
 
@@ -145,7 +148,9 @@ def _advance(
         h = left
         # Most of a record is quiet: nothing flows, and the gas follows the volume in one step.
         if not quiet:
-            flow_in, flow_out, share = _flows(q, p, supply, inlet, outlet, s[3], scale)
+            flow_in, flow_out, share = _flows(
+                q, p, supply, inlet, outlet, s[3], scale, more_in, more_out
+            )
             warm = 1.0
             if q[stage.HEAT_BY_MASS] > 0.0 and flow_out > 0.0:
                 # What leaves is as warm as what stays, and warm gas is thinner.
@@ -178,7 +183,9 @@ def _advance(
                 p1 = (p + at) * (squeezed if k == 1.0 else squeezed**k) - at
         else:
             p_try = max(p + h * rate, -0.95 * at)
-            in2, out2, share = _flows(q, p_try, supply, inlet, outlet, s[3], scale)
+            in2, out2, share = _flows(
+                q, p_try, supply, inlet, outlet, s[3], scale, more_in, more_out
+            )
             out2 /= math.sqrt(warm)
             wide = q[stage.ELASTIC] * (2.0 * max(p_try, 0.0) + at)
             rate2 = (
@@ -229,12 +236,14 @@ def _advance(
 def _trial(
     q: Any, time: Any, reading: Any, length: Any, supply: Any, edge_s: Any, edge_to: Any,
     edge_of: Any, out: Any, fall: Any, due: Any, waiting: Any, opened: Any, command: Any, s: Any,
-    step: Any, acting: Any, mode: int,
+    step: Any, acting: Any, more: Any, mode: int,
 ) -> None:  # fmt: skip
     """Predict the reading at every node of one trial into `out`.
 
     A reading that is NaN draws nothing: nothing is known there. `due` to `s` are scratch; `step`
-    and `acting` are left alone where the reading is followed.
+    and `acting` are left alone where the reading is followed; with `_PUSH` it is followed, and
+    `step` is what something else has added to the pressure since the node before, `more` what it
+    does to the valves, as in `Push`.
     """
     waiting[:] = 0
     opened[:] = False
@@ -276,6 +285,8 @@ def _trial(
         slope = (v_end - v_begin) / (end - begin)
         feed = supply[i] + q[stage.SUPPLY_SHIFT]
         busy = opened[0] or opened[1] or begin < acts
+        more_in = more[0, i] if mode == _PUSH else 0.0
+        more_out = more[1, i] if mode == _PUSH else 0.0
         while now < end:
             until = end
             what = -1
@@ -290,6 +301,7 @@ def _trial(
                 _advance(
                     q, s, until - now, v_begin + slope * (now - begin),
                     v_begin + slope * (until - begin), feed, opened[0], opened[1], scale,
+                    more_in, more_out,
                 )  # fmt: skip
                 if s[3] > fall[0]:
                     fall[0] = s[3]
@@ -308,6 +320,8 @@ def _trial(
                         which = 2 * w + (0 if value > 0.5 else 1)
                         upstream = feed if w == 0 else s[0]
                         delay = q[layout.DELAY + which] + q[layout.DELAY_SLOPE + which] * upstream
+                        if mode == _PUSH:
+                            delay += more[2 + which, i]
                         at = now + max(delay, 0.0)
                         if waiting[w] > 0:
                             at = max(at, due[w, waiting[w] - 1])
@@ -320,9 +334,14 @@ def _trial(
                 waiting[what] -= 1
                 for j in range(waiting[what]):
                     due[what, j] = due[what, j + 1]
+        if mode == _PUSH and step[i] != 0.0:
+            s[0] = max(s[0] + step[i], -0.95 * q[layout.ATMOSPHERE])
+            s[1] = max(s[1] + step[i], -0.95 * q[layout.ATMOSPHERE])
+            if q[stage.LAG] == 0.0:
+                s[2] += step[i]
         shown = s[2] * (1.0 + q[stage.GAIN]) + q[stage.ZERO]
         out[i] = shown
-        if mode != _FOLLOW:
+        if mode in (_LEARN, _APPLY):
             if mode == _LEARN:
                 step[i] = reading[i] - shown
                 acting[i] = 1.0 if busy else 0.0
@@ -352,13 +371,13 @@ def _build(sources: int) -> Callable[..., None]:
     # `sources` is used so that it becomes a closure variable; it is never negative.
     @entry_point(
         f"void({vector}, {whole}, {vector}, {vector}, {vector}, {vector}, {whole}, {vector}, "
-        f"{vector}, {whole}, {vector}, {vector}, {vector}, {vector}, int64)",
+        f"{vector}, {whole}, {vector}, {vector}, {vector}, {vector}, float64[:, :], int64)",
         threads=True,
     )
     def run(
         q: Any, first: Any, time: Any, reading: Any, length: Any, supply: Any, first_edge: Any,
         edge_s: Any, edge_to: Any, edge_of: Any, out: Any, fall: Any, step: Any, acting: Any,
-        mode: int,
+        more: Any, mode: int,
     ) -> None:  # fmt: skip
         if sources < 0:
             return
@@ -377,7 +396,7 @@ def _build(sources: int) -> Callable[..., None]:
                 _trial(
                     q, time[a:b], reading[a:b], length[a:b], supply[a:b], edge_s[c:d],
                     edge_to[c:d], edge_of[c:d], out[a:b], fall, due, waiting, opened, command, s,
-                    step[a:b], acting[a:b], mode,
+                    step[a:b], acting[a:b], more[:, a:b], mode,
                 )  # fmt: skip
 
     return run
@@ -385,23 +404,44 @@ def _build(sources: int) -> Callable[..., None]:
 
 _run = _build(fingerprint())
 _NONE = np.empty(0)
+_NO_MORE = np.empty((6, 0))
 _WORTH_THREADS = 10_000
 
 
-def predict(*arrays: Any) -> None:
+@dataclass(frozen=True)
+class Push:
+    """What something else adds to the gas, at every node.
+
+    Attributes:
+        pressure: Pa since the node before, shape (nodes,).
+        valves: to the flows of inlet and outlet since the node before, as a share of them; and to
+            the delays with which the inlet opens and shuts, and the outlet, s; shape (6, nodes).
+    """
+
+    pressure: Array
+    valves: Array
+
+    def __add__(self, other: Push) -> Push:
+        return Push(self.pressure + other.pressure, self.valves + other.valves)
+
+
+def predict(*arrays: Any, push: Push | None = None) -> None:
     """All trials one after the other, the prediction drawn towards the reading.
 
     Takes (q, first, time, reading, length, supply, first_edge, edge_s, edge_to, edge_of, out,
     fall): nodes of trial t are `first[t]:first[t+1]`, likewise its edges of commands; readings go
-    to `out`, `fall[0]` is the largest fall of the supply.
+    to `out`, `fall[0]` is the largest fall of the supply. `push` is what something else adds.
     """
+    step, more, mode = _NONE, _NO_MORE, _FOLLOW
+    if push is not None:
+        step, more, mode = push.pressure, push.valves, _PUSH
     q, first, *nodes, first_edge, edge_s, edge_to, edge_of, out, fall = arrays
 
     def run(trials: slice) -> float:
         largest = np.zeros(1)
         _run(
             q, first[trials], *nodes, first_edge[trials], edge_s, edge_to, edge_of, out, largest,
-            _NONE, _NONE, _FOLLOW,
+            step, _NONE, more, mode,
         )  # fmt: skip
         return float(largest[0])
 
@@ -426,7 +466,7 @@ def replay(*arrays: Any, learn: bool) -> None:
     `out` gets the pressures as the gauge would read them.
     """
     *common, step, acting = arrays
-    _run(*common, np.zeros(1), step, acting, _LEARN if learn else _APPLY)
+    _run(*common, np.zeros(1), step, acting, _NO_MORE, _LEARN if learn else _APPLY)
 
 
 def perturbed(plain: Any, changed: Any, path: Any, *arrays: Any) -> Any:

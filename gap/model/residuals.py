@@ -12,7 +12,7 @@ import numpy as np
 from gap.effects.terms import Active, acting_in, terms
 from gap.model import force as laws
 from gap.model import pressure as chamber
-from gap.model.empirical import correction_at
+from gap.model.empirical import Flow, correction_at, flow_at, risen
 from gap.model.features import BLOCKS
 from gap.model.grid import Grid, full_values, room_temperature, trial_order
 from gap.model.nominal import NominalPlant
@@ -54,6 +54,7 @@ class Model:
     tared: Array = field(init=False)
     _plain: dict[str, tuple[PlantConstants, Array]] = field(init=False, default_factory=dict)
     _corrections: dict[str, Array] = field(init=False, default_factory=dict)
+    _pushed: list[chamber.Push | None] = field(init=False, default_factory=list)
     _kept: dict[tuple[Any, ...], Array] = field(init=False, default_factory=dict, repr=False)
 
     def __post_init__(self, around: Array | None, like: Model | None) -> None:
@@ -109,8 +110,35 @@ class Model:
             return 0.0
         if block not in self._corrections:
             c = self.grid.data.constants
-            self._corrections[block] = correction_at(self.grid, correction, c)
+            made = correction_at(self.grid, correction, c)
+            flow = flow_at(self.grid, correction, c) if self.covers(block) else None
+            if flow is not None:  # no chamber of ours to put it into
+                made = made + risen(self.grid, flow.mg_s(self.grid, c)[:, None], c)[:, 0]
+            self._corrections[block] = made
         return self._corrections[block]
+
+    def _corrected_push(self) -> chamber.Push | None:
+        """What the data set's empirical term adds to the gas of the chamber."""
+        correction = self.grid.data.corrections.of.get("pressure")
+        if correction is not None and not self._pushed and not self.covers("pressure"):
+            c = self.grid.data.constants
+            flow = flow_at(self.grid, correction, c)
+            self._pushed.append(None if flow is None else flow.push(self.grid, c))
+        return self._pushed[0] if self._pushed else None
+
+    def pressure_with_flow(self, flow: Flow, c: PlantConstants, active: Active) -> Array:
+        """Rows of the pressure, measured minus predicted, with a flow into the chamber.
+
+        Where a simulator from elsewhere predicts the pressure, the flow adds to it in proportion.
+        """
+        points = self.grid.points["pressure"]
+        if self.covers("pressure"):
+            raw = self._pressure(points, c, active)
+            rows = self._features(points, raw) * SCALE["pressure"]
+            added = risen(self.grid, flow.mg_s(self.grid, c)[:, None], c)[:, 0]
+            return rows - self._corrected("pressure") - added
+        raw = self._pressure(points, c, active, flow.push(self.grid, c))
+        return self._features(points, raw) * SCALE["pressure"] - self._corrected("pressure")
 
     def each(self, make: Callable[[T], R], items: Iterable[T]) -> list[R]:
         """`make` of each item, on several threads where the model has no code of others in it."""
@@ -253,11 +281,13 @@ class Model:
         true = laws.true_length(points, active, c)
         return points.reading - (true + laws.read_minus_true(active, true, c))
 
-    def _pressure(self, points: Points, c: PlantConstants, active: Active) -> Array:
+    def _pressure(
+        self, points: Points, c: PlantConstants, active: Active, push: chamber.Push | None = None
+    ) -> Array:
         if self.covers("pressure"):
             out = self._simulated_pressure(points, c, active)
         else:
-            out, _ = self._built_in_pressure(points, c, active)
+            out, _ = self._built_in_pressure(points, c, active, push)
         for term in terms(active):
             if term.diagnosis.pressure_shown is not None:
                 out = term.diagnosis.pressure_shown(out, points, term.amount)
@@ -297,12 +327,15 @@ class Model:
         return np.ascontiguousarray(np.clip(true, 1e-4, 0.999 * c.braid_length_m))
 
     def _built_in_pressure(
-        self, points: Points, c: PlantConstants, active: Active
+        self, points: Points, c: PlantConstants, active: Active, push: chamber.Push | None = None
     ) -> tuple[Array, float]:
         """Prediction of the built-in chamber, Pa, before what smooths a reading.
 
-        With the largest fall of the supply, Pa.
+        With the largest fall of the supply, Pa. `push` is what is added from point to point.
         """
+        corrected = self._corrected_push()
+        if corrected is not None:
+            push = corrected if push is None else push + corrected
         grid = self.grid
         q = self._parameters(c, active)
         length = self.length_in_braid(points, c, active)
@@ -314,7 +347,7 @@ class Model:
         reading = np.ascontiguousarray(straight)
         chamber.predict(
             q, points.first, points.time_s, reading, length, supply, grid.first_edge,
-            grid.edge_s, grid.edge_to, grid.edge_of, out, fall,
+            grid.edge_s, grid.edge_to, grid.edge_of, out, fall, push=push,
         )  # fmt: skip
         return laws.gauge_shows(out, active, context), float(fall[0])
 

@@ -33,8 +33,10 @@ _SCALED = {
     "valve_flow": "share of the valve's flow",
     "inlet_flow": "share of the inlet's flow",
     "outlet_flow": "share of the outlet's flow",
-    "inlet_edge": "share of the inlet's flow after a command",
-    "outlet_edge": "share of the outlet's flow after a command",
+    "inlet_on_ms": "inlet opens late, ms",
+    "inlet_off_ms": "inlet shuts late, ms",
+    "outlet_on_ms": "outlet opens late, ms",
+    "outlet_off_ms": "outlet shuts late, ms",
 }
 _KINDS = {
     "": "an addition",
@@ -45,8 +47,10 @@ _KINDS = {
     "valve_flow": "a change in proportion to the valve's flow",
     "inlet_flow": "a change in proportion to the inlet's flow",
     "outlet_flow": "a change in proportion to the outlet's flow",
-    "inlet_edge": "a change of the inlet's flow after a command",
-    "outlet_edge": "a change of the outlet's flow after a command",
+    "inlet_on_ms": "an inlet that opens late or early",
+    "inlet_off_ms": "an inlet that shuts late or early",
+    "outlet_on_ms": "an outlet that opens late or early",
+    "outlet_off_ms": "an outlet that shuts late or early",
 }
 
 
@@ -62,8 +66,9 @@ def empirical_lines(verdict: Verdict) -> list[str]:
         f"  closes    {100 * term.closed:.0f} % ({100 * term.closed_low:.0f} to "
         f"{100 * term.closed_high:.0f}) on slots held out: {term.recalibrated:.3g} -> "
         f"{term.after:.3g}, floor {term.floor:.3g} {term.unit}",
-        f"  domain    {'; '.join(_ends(name, ends) for name, ends in _domain(term))}",
     ]
+    if _domain(term):
+        lines.append(f"  domain    {'; '.join(_ends(name, ends) for name, ends in _domain(term))}")
     if term.expression is not None:
         lines.append(f"  formula   {term.expression.text}")
     return lines + [f"  near      {one}" for one in term.nearest]
@@ -83,7 +88,7 @@ def empirical_sentences(verdict: Verdict) -> list[str]:
         f"A term learnt from it closes {100 * term.closed:.0f} % of the gap above the floor "
         f"({100 * term.closed_low:.0f} to {100 * term.closed_high:.0f} %) on slots held out: "
         f"{term.recalibrated:.3g} {term.unit} become {term.after:.3g} {term.unit}, the floor is "
-        f"{term.floor:.3g} {term.unit}. It holds for {ends}.",
+        f"{term.floor:.3g} {term.unit}.{f' It holds for {ends}.' if ends else ''}",
     ]
     if term.rate_share >= _SHOWN:
         made.append(f"{100 * term.rate_share:.0f} % of it depends on a rate.")

@@ -48,18 +48,24 @@ class ValidationConfig:
     moved_sd: float = 0.5
     """Change of a constant, in sd, from which terms are selected anew at the new constants. Set on:
     not tuned."""
+    astray_sd: float = 3.0
+    """Shift of a constant, in sd, that a gap without a name may have caused. A matter of
+    definition: the constants' walls begin there."""
     term_errors: float = 1.0
     """Standard errors over slots by which a term must lower the held-out error to enter. Set on:
     practice sets 9000-9029; none of six sets without a gap among them got a term at 1 or 1.5."""
     term_share: float = 0.03
     """Share of the gap above the floor that it must close. Set on: not tuned."""
+    further_share: float = 0.15
+    """The same of a term that is not the first: small ones do not predict other slots. Set on:
+    practice sets 43112 to 43351."""
     alike_share: float = 0.15
     """Share of a step's gain that a simpler term may give away. Set on: practice sets 9000-9029."""
     large_slot: float = 0.1
     """Share of the gap from which a slot holds a large part of it. A matter of definition."""
     foretold_share: float = 0.9
-    """Share of the gap above which a term closes it where the jackknife over slots says nothing:
-    of each slot that holds a large part it must close half. Set on: practice set 43115."""
+    """Share of the gap above which a term closes it where one slot holds it and the jackknife says
+    nothing; from there on no other constants are tried either. Set on: practice set 43115."""
     term_sd: float = 5.0
     """Prior of a term's coefficients, in rms of the residual: all but free."""
     term_bend: float = 0.5

@@ -8,153 +8,28 @@ no part in the selection either: it is repeated without each slot.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations
-from math import factorial
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from gap.estimation.cross_validation import HeldOut, floor_squares
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.model.empirical import inputs_of, scales_of
 from gap.model.features import BLOCKS, UNITS
 from gap.validation.config import VALIDATION, ValidationConfig
 from gap.validation.expression import compact_expression
-from gap.validation.terms.held_out_terms import HeldOutTerms, Whole, gain_and_errors, joined
-from gap.validation.terms.pieces import GAS_INPUTS, MUSCLE_INPUTS, Piece, pieces_of, with_flows
-from gap.validation.terms.refit import fitted_with_term
+from gap.validation.terms.held_out_terms import Whole
+from gap.validation.terms.pieces import (
+    Piece,
+)
+from gap.validation.terms.refit import FittedTerm, TermColumns, fitted_with_term
+from gap.validation.terms.search import HALF, TermSearch, search_of
 from gap.verdict import EmpiricalTerm, NearEntry, TermCourse
 from plant.arrays import Array
-from plant.effects.empirical import FLOWS, INPUTS, Correction, SplineTerm, product_splines
-
-
-@dataclass
-class TermSearch:
-    """Pieces that may enter, and the sums from which any of them is fitted.
-
-    Attributes:
-        fit: where the plant is made linear.
-        recalibrated: sums at the plant that was recalibrated without a term: what is closed is
-            closed of its errors.
-        gap: squared errors of that plant on slots left out, beyond the floor.
-    """
-
-    block: str
-    fit: FitResult
-    pieces: tuple[Piece, ...]
-    basis: Array
-    terms: HeldOutTerms
-    recalibrated: HeldOutTerms
-    gap: float
-    config: ValidationConfig
-
-    def columns(self, chosen: Sequence[Piece]) -> Whole:
-        """Columns of some pieces."""
-        return joined([piece.at for piece in chosen])
-
-    def errors(self, chosen: Sequence[Piece], without: frozenset[int] = frozenset()) -> Array:
-        """Squared errors on every slot that is not `without`, each left out in turn."""
-        if not chosen:
-            return self.recalibrated.errors(self.columns([]), without)
-        return self.terms.errors(self.columns(chosen), without)
-
-    def select(self, without: frozenset[int] = frozenset()) -> list[Piece]:
-        """Forward selection on slots that are not `without`, then pieces that are not needed go."""
-        chosen: list[Piece] = []
-        errors = self.errors(chosen, without)
-        for _ in range(self.config.most_terms):
-            found = self._next(chosen, errors, without)
-            if found is None:
-                break
-            piece, errors = found
-            chosen = [one for one in chosen if not piece.holds(one)]
-            chosen.append(piece)
-            errors = self.errors(chosen, without)
-        return self._needed(chosen, without)
-
-    def _next(
-        self, chosen: list[Piece], errors: Array, without: frozenset[int]
-    ) -> tuple[Piece, Array] | None:
-        """The simplest piece of those that do best to within one standard error."""
-        new = [p for p in self.pieces if not any(one.holds(p) for one in chosen)]
-        # What explains least of the slots that it is fitted to will not predict the others.
-        new.sort(key=lambda p: -self.terms.explained(self.columns([*chosen, p]), without))
-        tried: list[tuple[Piece, Array]] = []
-        for piece in new[: self.config.tried_terms]:
-            after = self.errors([*chosen, piece], without)
-            gain, sure = gain_and_errors(errors, after)
-            if sure > self.config.term_errors and gain > self.config.term_share * self.gap:
-                tried.append((piece, after))
-        if not tried:
-            return None
-        best = min(tried, key=lambda one: float(one[1].sum()))
-        known = frozenset[str]().union(*(piece.groups for piece in chosen))
-
-        def alike(after: Array) -> bool:
-            most = self.config.alike_share * float((errors - best[1]).sum())
-            return float((after - best[1]).sum()) <= most
-
-        simple = [one for one in tried if alike(one[1])] or [best]
-        return min(
-            simple,
-            key=lambda one: (len(one[0].groups - known), one[0].fine, float(one[1].sum())),
-        )
-
-    def _needed(self, chosen: list[Piece], without: frozenset[int]) -> list[Piece]:
-        """Pieces without which the error on slots left out rises for sure, or by much."""
-        for piece in [*chosen]:
-            rest = [one for one in chosen if one is not piece]
-            if not rest:
-                break
-            errors = self.errors(chosen, without)
-            lost, sure = gain_and_errors(self.errors(rest, without), errors)
-            whole = float((self.errors([], without) - errors).sum())
-            # One slot alone may hold most of a gap: what all of it hangs on is needed.
-            little = lost < self.config.alike_share * whole and sure < 1.0
-            if lost < self.config.term_share * self.gap or little:
-                chosen = rest
-        return chosen
-
-    def within(self, chosen: Sequence[Piece], groups: frozenset[str]) -> list[Piece]:
-        """The chosen pieces, as far as they can be made of some inputs alone."""
-        made: list[Piece] = []
-        for piece in chosen:
-            if piece.groups <= groups:
-                made.append(piece)
-                continue
-            left = [n for n in piece.inputs if INPUTS[n] in groups]
-            alone = [p for p in self.pieces if list(p.inputs) == left and p.scale == piece.scale]
-            made += sorted(alone, key=lambda one: len(one.at))[-1:]
-        return list({id(piece): piece for piece in made}.values())
-
-    def shares(self, chosen: Sequence[Piece]) -> dict[str, float]:
-        """Shapley values of the inputs in what is closed on slots left out; negative ones are 0.
-
-        Empty where all of it is an offset.
-        """
-        names = sorted(frozenset[str]().union(*(piece.groups for piece in chosen)))
-        nothing = float(self.errors([]).sum())
-        worth = {
-            frozenset(some): nothing
-            - float(self.errors(self.within(chosen, frozenset(some))).sum())
-            for count in range(len(names) + 1)
-            for some in combinations(names, count)
-        }
-        n = len(names)
-        made = {}
-        for name in names:
-            value = 0.0
-            for some, alone in worth.items():
-                if name not in some:
-                    k = len(some)
-                    weight = factorial(k) * factorial(n - k - 1) / factorial(n)
-                    value += weight * (worth[some | {name}] - alone)
-            made[name] = max(value, 0.0)
-        total = sum(made.values())
-        if total <= 0.0:  # an offset does as well
-            return {}
-        return dict(sorted(((k, v / total) for k, v in made.items()), key=lambda one: -one[1]))
+from plant.effects.empirical import (
+    Correction,
+    SplineTerm,
+    product_splines,
+)
 
 
 def blocks_with_gap(problem: FitProblem, fit: FitResult) -> list[str]:
@@ -198,33 +73,59 @@ def _term_of(
     first = search_of(problem, fit, block, config)
     if first is None:
         return None
-    for search in (_with_constants_back(problem, first), first):
-        chosen = search.select() if search is not None else []
-        if search is None or not chosen:
+    best: tuple[TermSearch, list[Piece], HeldOut] | None = None
+    most = -np.inf
+    for _, search in _searches(problem, first):
+        chosen = search.select()
+        held = _held_out(problem, search) if chosen else None
+        closed = held.closed() if held is not None else None
+        if held is None or closed is None or not _closes(held, config) or closed[0] <= most:
             continue
-        held = _held_out(problem, search)
-        if _closes(held, config):
-            return _stated(problem, fit, search, chosen, held, nearest)
-    return None
+        best, most = (search, chosen, held), closed[0]
+        if most > config.foretold_share:
+            break
+    return None if best is None else _stated(problem, fit, *best, nearest)
+
+
+def _searches(problem: FitProblem, first: TermSearch) -> Iterator[tuple[str, TermSearch]]:
+    """Searches at the constants from which a term may be seen for what it is, likely ones first.
+
+    A large gap may have led the constants so far astray that no fit with a term finds back: the
+    stated ones, from which the gap is the effect alone, are another start.
+    """
+    back = _with_constants_back(problem, first)
+    if back is not None:
+        yield "back", back
+    stated = problem.at(
+        np.zeros_like(first.fit.shift), first.fit.candidates, first.fit.amounts, first.fit
+    )
+    if np.abs(first.fit.shift).max() > first.config.astray_sd:
+        start = search_of(problem, stated, first.block, first.config, first)
+        if start is not None:
+            from_stated = _with_constants_back(problem, start)
+            if from_stated is not None:
+                yield "stated back", from_stated
+            yield "stated", start
+    yield "first", first
 
 
 def _closes(held: HeldOut, config: ValidationConfig) -> bool:
-    """Whether a term closes a part of the gap on slots left out, for sure.
+    """Whether a term closes a part of the gap on slots left out.
 
-    One slot may hold nearly all of a gap, as a valve that shuts late does where it is shut in time:
-    the jackknife says nothing then. A term that was fitted without that slot and closes nearly all
-    of it has foretold it.
+    For sure, or half of a gap that is as large as the floor, and half of it in most of the slots
+    that hold a large part: where a gap is large in few slots the jackknife says nothing, yet a term
+    that was fitted without such a slot has foretold it. Where one slot alone holds a large part,
+    nearly all of it must be foretold.
     """
     found = held.closed()
     if found is None or found[1] > 0.0:
         return found is not None
     gap = held.recalibrated - held.floor
     large = gap > config.large_slot * gap.sum()
-    foretold = (held.recalibrated - held.after)[large] > _HALF * gap[large]
-    return found[0] > config.foretold_share and bool(foretold.all())
-
-
-_HALF = 0.5
+    foretold = (held.recalibrated - held.after)[large] > HALF * gap[large]
+    seen = float(gap.sum()) > float(held.floor.sum())
+    share = HALF if np.count_nonzero(large) > 1 else config.foretold_share
+    return seen and found[0] > share and float(foretold.mean()) > HALF
 
 
 def _with_constants_back(problem: FitProblem, first: TermSearch) -> TermSearch | None:
@@ -241,10 +142,12 @@ def _with_constants_back(problem: FitProblem, first: TermSearch) -> TermSearch |
         fits = [_refitted(problem, search, own) for own in [*tried, chosen] if own]
         if not fits:
             break
-        fit = min(fits, key=lambda one: one[1])[0]
-        if np.abs(fit.shift - search.fit.shift).max() < config.moved_sd:
+        # The number of a term's columns counts as in a comparison of models (Schwarz 1978).
+        each = float(np.log(len(problem.rows)))
+        own, fitted = min(fits, key=lambda one: one[1].cost + len(one[0]) * each)
+        if np.abs(fitted.fit.shift - search.fit.shift).max() < config.moved_sd:
             break
-        again = search_of(problem, fit, search.block, config, first)
+        again = search_of(problem, fitted.fit, search.block, config, first, (own, fitted))
         if again is None:
             break
         search = again
@@ -253,14 +156,16 @@ def _with_constants_back(problem: FitProblem, first: TermSearch) -> TermSearch |
 
 def _refitted(
     problem: FitProblem, search: TermSearch, chosen: Sequence[Piece]
-) -> tuple[FitResult, float]:
-    """Constants fitted with some pieces, and the cost with that of their number (Schwarz 1978)."""
-    own = search.columns(chosen)
+) -> tuple[Whole, FittedTerm]:
+    """Constants fitted with some pieces, and the numbers of their columns."""
+    own = np.sort(search.columns(chosen))
     columns = np.zeros((len(problem.rows), len(own)))
     columns[problem.rows.block == BLOCKS.index(search.block)] = search.basis[:, own]
     penalty = search.terms.penalty[np.ix_(own, own)]
-    fit, cost = fitted_with_term(problem, search.fit, columns, penalty)
-    return fit, cost + len(own) * float(np.log(len(problem.rows)))
+    plain = search.basis.shape[1] - len(search.flows.scales)
+    flows = search.flows.only(own[own >= plain] - plain)
+    term = TermColumns(columns, penalty, flows)
+    return own, fitted_with_term(problem, search.fit, term, search.terms.coefficients(own))
 
 
 def _stated(
@@ -295,51 +200,6 @@ def _stated(
         ),
         nearest=_nearest(problem, search, chosen, shares, tuple(nearest)),
     )
-
-
-def search_of(
-    problem: FitProblem, fit: FitResult, block: str, config: ValidationConfig,
-    first: TermSearch | None = None,
-) -> TermSearch | None:  # fmt: skip
-    """Pieces and sums for one block; None where too few slots have it or it shows no gap.
-
-    Args:
-        first: the search at the recalibrated plant, where `fit` is another.
-    """
-    here = problem.rows.block == BLOCKS.index(block)
-    names = GAS_INPUTS if block == "pressure" else MUSCLE_INPUTS
-    at = inputs_of(problem.grid, block, names)
-    count = int(here.sum())
-    if block != "pressure":
-        at |= scales_of(problem.grid, block, problem.constants(fit.shift))
-    pieces, columns = pieces_of(at, count)
-    if block == "pressure":
-        pieces, columns = with_flows(problem, fit, pieces, columns)
-    if not pieces:
-        return None
-    size = max(float(np.sqrt(np.mean(fit.residual[here] ** 2))), 1e-9)
-    penalty = np.zeros((columns.shape[1],) * 2)
-    for piece in pieces:
-        free = np.eye(len(piece.at)) / config.term_sd**2 + piece.rough / config.term_bend**2
-        own = np.sqrt(np.mean(columns[:, piece.at] ** 2, axis=0))
-        # A scale has its own unit; a short flow must be larger to be seen as much as a long one.
-        unit = own if piece.scale in FLOWS else np.full(len(own), _rms(at.get(piece.scale)))
-        penalty[np.ix_(piece.at, piece.at)] = free * unit * unit[:, None] / size**2
-    terms = HeldOutTerms.of(problem, fit, block, columns, penalty)
-    if len(terms.slots) < config.least_slots:
-        return None
-    if first is not None:
-        return replace(first, fit=fit, pieces=pieces, basis=columns, terms=terms)
-    base = terms.errors(np.empty(0, dtype=np.int64))
-    floor = floor_squares(problem, problem.units)[block][list(terms.slots)]
-    gap = float(base.sum() - floor.sum())
-    made = TermSearch(block, fit, pieces, columns, terms, terms, gap, config)
-    return made if gap > 0.0 else None
-
-
-def _rms(x: Array | None) -> float:
-    """Root mean square of a scale; 1 without one."""
-    return 1.0 if x is None else max(float(np.sqrt(np.mean(x**2))), 1e-15)
 
 
 def _held_out(problem: FitProblem, search: TermSearch) -> HeldOut:

@@ -16,9 +16,9 @@ of the same plant file says at that pressure and length: its pull in N ("pull"),
 by 1 kPa ("pull_per_kpa") or by 1 mm ("pull_per_mm"); its splines then give a share of the pull, an
 error of the pressure in kPa or of the length in mm. With the scale "flow" its splines give a flow
 in mg/s into the chamber, whose pressure it raises, with "valve_flow" a share of the flow of the
-valve that is commanded open, with "inlet_flow" or "outlet_flow" of that one alone, with
-"inlet_edge" or "outlet_edge" of its flow in the `EDGE_S` after it is commanded open or shut; what
-a flow raised is forgotten with `FORGOTTEN_S`.
+valve that is open, with "inlet_flow" or "outlet_flow" of that one alone; with "inlet_on_ms",
+"inlet_off_ms", "outlet_on_ms" or "outlet_off_ms" the time in ms by which that valve opens or shuts
+later than its delay says. What a flow raised is forgotten with `FORGOTTEN_S`.
 It says nothing of another bench.
 """
 
@@ -67,14 +67,18 @@ INLET_FLOW = "inlet_flow"
 """Scale of a term of the pressure whose splines are a share of the inlet's flow."""
 OUTLET_FLOW = "outlet_flow"
 """The same of the outlet."""
-INLET_EDGE = "inlet_edge"
-"""The same of the inlet in the `EDGE_S` after a command: what passes too late or too early."""
-OUTLET_EDGE = "outlet_edge"
-"""The same of the outlet."""
-FLOWS = (FLOW, VALVE_FLOW, INLET_FLOW, OUTLET_FLOW, INLET_EDGE, OUTLET_EDGE)
-EDGE_S = 0.03
-"""Seconds after a command for which `INLET_EDGE` and `OUTLET_EDGE` last: a small valve opens or
-shuts within some ten milliseconds."""
+LATE = ("inlet_on_ms", "inlet_off_ms", "outlet_on_ms", "outlet_off_ms")
+"""Scales of a term of the pressure whose splines are ms by which a valve opens or shuts late."""
+FLOWS = (FLOW, VALVE_FLOW, INLET_FLOW, OUTLET_FLOW, *LATE)
+"""Scales of terms that the simulated gas takes in."""
+SCALE_INPUTS: Mapping[str, tuple[str, ...]] = {
+    "": (),
+    "pull": ("pressure_kpa", "length_mm"),
+    "pull_per_kpa": ("length_mm",),
+    "pull_per_mm": ("pressure_kpa", "length_mm"),
+    **dict.fromkeys(FLOWS, ()),
+}
+"""Inputs that a scale is itself made of; that of a flow is what the valves did before."""
 _SCALES_OF = {"force": SCALES, "load": SCALES, "pressure": FLOWS, "camera": ()}
 FORGOTTEN_S = 5.0
 """Time constant with which the diagnosis draws a predicted pressure to the reading."""

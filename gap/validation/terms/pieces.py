@@ -11,17 +11,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.model.empirical import point_inputs_of, risen, valve_flows
+from gap.model.empirical import Flow, point_inputs_of, risen, valve_flows
 from gap.validation.terms.held_out_terms import Whole
 from plant.arrays import Array
 from plant.effects.empirical import (
-    EDGE_S,
     FLOW,
-    INLET_EDGE,
+    FLOWS,
     INLET_FLOW,
     INPUTS,
-    OUTLET_EDGE,
+    LATE,
     OUTLET_FLOW,
+    SCALE_INPUTS,
+    SCALES,
     VALVE_FLOW,
     product_splines,
     splines_on,
@@ -59,12 +60,12 @@ _FLOWS = (
     (VALVE_FLOW, ("valve",)), (VALVE_FLOW, ("valve", "pressure_kpa")),
     (VALVE_FLOW, ("valve", "since_edge_s")), (VALVE_FLOW, ("valve", "time_s")),
     (VALVE_FLOW, ("valve", "order")),
-    *((edge, ("valve",)) for edge in (INLET_EDGE, OUTLET_EDGE)),
-    *((edge, (own, "valve")) for edge in (INLET_EDGE, OUTLET_EDGE)
-      for own in ("since_edge_s", "pressure_kpa", "time_s", "openings", "order")),
+    *((late, own) for late in LATE
+      for own in ((), ("pressure_kpa",), ("time_s",), ("openings",), ("order",))),
     *((flow, own) for flow in (INLET_FLOW, OUTLET_FLOW)
-      for own in (("since_edge_s",), ("pressure_kpa",), ("time_s",), ("openings",))),
+      for own in ((), ("since_edge_s",), ("pressure_kpa",), ("time_s",), ("openings",))),
 )  # fmt: skip
+_HISTORY = "history"
 _FLOW_KNOTS = {"time_s": 6}
 _USUAL_FLOW_KNOTS = 3
 _AROUND_ZERO = ("pressure_rate_kpa_s", "velocity_mm_s", "change_1s_kpa", "slip")
@@ -72,8 +73,6 @@ _EDGE_KNOTS = (0.0, 0.004, 0.012, 0.03, 0.08, 0.25, 2.0)
 """Seconds after an edge: valves take some ten milliseconds, gas some hundred."""
 
 
-_LATE_KNOTS = (0.0, 0.004, 0.008, 0.011, 0.014, 0.018, 0.023, EDGE_S)
-"""Seconds after a command: as fine as rows are where a small valve opens or shuts."""
 _START_KNOTS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.4, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Seconds of a trial, close at its start, where a supply settles."""
 _FINE = ("slip", "length_mm")
@@ -116,8 +115,12 @@ class Piece:
 
     @property
     def groups(self) -> frozenset[str]:
-        """Its inputs as a person calls them."""
-        return frozenset(INPUTS[name] for name in self.inputs)
+        """What it depends on, as a person calls it: its inputs, and those of its scale.
+
+        What a flow into the chamber does is its sum over time, a history.
+        """
+        made = frozenset(INPUTS[name] for name in (*self.inputs, *SCALE_INPUTS[self.scale]))
+        return made | {_HISTORY} if self.scale in FLOWS else made
 
 
 def pieces_of(at: dict[str, Array], count: int) -> tuple[tuple[Piece, ...], Array]:
@@ -134,6 +137,7 @@ def pieces_of(at: dict[str, Array], count: int) -> tuple[tuple[Piece, ...], Arra
     }
     single = [("", name) for name in varied] + [(s, name) for s, name in _SCALED if s in at]
     wanted: list[tuple[str, tuple[str, ...], int]] = [("", (), 0)]
+    wanted += [(scale, (), 0) for scale in SCALES if scale in at]
     wanted += [(scale, (name,), _most_knots(name, 1)) for scale, name in single]
     # A line carries to slots beyond the others' range, where splines go astray.
     wanted += [(scale, (name,), 2) for scale, name in single if name != "since_edge_s"]
@@ -162,33 +166,64 @@ def pieces_of(at: dict[str, Array], count: int) -> tuple[tuple[Piece, ...], Arra
     return tuple(made), np.hstack(columns) if columns else np.empty((count, 0))
 
 
+@dataclass(frozen=True)
+class FlowColumns:
+    """Columns of flows into the chamber, before they are summed up to a pressure.
+
+    Attributes:
+        values: splines at every point of the pressure, shape (points, columns).
+        scales: of each column, one of `plant.effects.empirical.FLOWS`.
+    """
+
+    values: Array
+    scales: tuple[str, ...]
+
+    def only(self, at: Whole) -> FlowColumns:
+        """Some of the columns."""
+        return FlowColumns(self.values[:, at], tuple(self.scales[k] for k in at.tolist()))
+
+    def flow(self, beta: Array) -> Flow:
+        """The flow with these coefficients, shape (columns,)."""
+        scales = np.array(self.scales)
+        return Flow({s: self.values[:, scales == s] @ beta[scales == s] for s in set(self.scales)})
+
+
+NO_FLOWS = FlowColumns(np.empty((0, 0)), ())
+
+
 def with_flows(
-    problem: FitProblem, fit: FitResult, pieces: tuple[Piece, ...], columns: Array
-) -> tuple[tuple[Piece, ...], Array]:
-    """The pieces with those of flows into the chamber, which are summed up over time."""
+    problem: FitProblem, pieces: tuple[Piece, ...], first: int
+) -> tuple[tuple[Piece, ...], FlowColumns]:
+    """The pieces with those of flows into the chamber, whose columns are numbered from `first`."""
     at = point_inputs_of(problem.grid, "pressure", GAS_INPUTS)
     count = len(next(iter(at.values())))
-    made, flows = list(pieces), []
-    first = columns.shape[1]
-    through = valve_flows(problem.grid, problem.constants(fit.shift))
+    made = list(pieces)
+    values: list[Array] = [np.empty((count, 0))]
+    scales: list[str] = []
     for scale, inputs in _FLOWS:
         if any(np.ptp(at[name]) < 1e-6 for name in inputs):
             continue
         knots = tuple(_flow_knots(at[n], n, scale) for n in inputs)
         own = product_splines([at[n] for n in inputs], knots, count)
-        flows.append(own * through[scale][:, None] if scale in through else own)
-        width = flows[-1].shape[1]
+        values.append(own)
+        width = own.shape[1]
+        scales += [scale] * width
         made.append(Piece(inputs, knots, scale, np.arange(first, first + width), _rough(knots)))
         first += width
-    if not flows:
-        return pieces, columns
-    raised = risen(problem.grid, np.hstack(flows), problem.constants(fit.shift))
-    return tuple(made), np.hstack([columns, raised])
+    return tuple(made), FlowColumns(np.hstack(values), tuple(scales))
+
+
+def raised(problem: FitProblem, fit: FitResult, flows: FlowColumns) -> Array:
+    """Pressure by which each flow raises every row with the constants of a fit, kPa."""
+    c = problem.constants(fit.shift)
+    through = valve_flows(problem.grid, c)
+    flow = flows.values.copy()
+    for scale, own in through.items():
+        flow[:, np.array(flows.scales) == scale] *= own[:, None]
+    return risen(problem.grid, flow, c)
 
 
 def _flow_knots(x: Array, name: str, scale: str) -> tuple[float, ...]:
-    if scale in (INLET_EDGE, OUTLET_EDGE) and name == "since_edge_s":
-        return _LATE_KNOTS
     if scale in (INLET_FLOW, OUTLET_FLOW) and name == "time_s":
         last = float(x.max())
         return (0.0, *(t for t in _START_KNOTS if t < 0.9 * last), last)

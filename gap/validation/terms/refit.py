@@ -6,10 +6,14 @@ a law is bent otherwise than at the true constants, and a term that is right loo
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import damped_step, tolerance
+from gap.model.features import BLOCKS
+from gap.validation.terms.pieces import FlowColumns
 from plant.arrays import Array
 
 _ROUNDS = 30
@@ -18,49 +22,119 @@ _ENOUGH = 1e-3
 """Share of the cost below which a step is the last one."""
 
 
+@dataclass(frozen=True)
+class TermColumns:
+    """A term as it is fitted together with the constants.
+
+    Attributes:
+        columns: one row a feature of the problem, shape (rows, columns).
+        penalty: prior of its coefficients, shape (columns, columns).
+        flows: the last of the columns that are flows into the chamber: the simulated gas takes
+            them in.
+    """
+
+    columns: Array
+    penalty: Array
+    flows: FlowColumns
+
+    @property
+    def plain(self) -> int:
+        """Number of columns that are no flows."""
+        return int(self.columns.shape[1]) - len(self.flows.scales)
+
+    def residual(self, problem: FitProblem, fit: FitResult, beta: Array) -> Array:
+        """What a fit leaves with the term."""
+        made = fit.residual - self.columns[:, : self.plain] @ beta[: self.plain]
+        if self.flows.scales:
+            here = problem.rows.block == BLOCKS.index("pressure")
+            made[here] += self._rows(problem, fit, beta) - fit.residual[here]
+        return np.asarray(made)
+
+    def slopes(self, problem: FitProblem, fit: FitResult, beta: Array) -> Array:
+        """What each coefficient adds to the prediction there, shape (rows, columns)."""
+        if not self.flows.scales:
+            return self.columns
+        made = self.columns.copy()
+        here = problem.rows.block == BLOCKS.index("pressure")
+        middle = self._rows(problem, fit, beta)
+        for k in range(self.plain, len(beta)):
+            step = _SLOPE_KPA / max(float(np.sqrt(np.mean(self.columns[here, k] ** 2))), 1e-9)
+            moved = beta.copy()
+            moved[k] += step
+            made[here, k] = (middle - self._rows(problem, fit, moved)) / step
+        return made
+
+    def _rows(self, problem: FitProblem, fit: FitResult, beta: Array) -> Array:
+        """Rows of the pressure with the flows."""
+        active = problem.active_effects(fit.shift, fit.candidates, fit.amounts)
+        flow = self.flows.flow(beta[self.plain :])
+        rows = problem.model.pressure_with_flow(flow, problem.constants(fit.shift), active)
+        return np.nan_to_num(rows, nan=0.0, posinf=3e3, neginf=-3e3)
+
+
+_SLOPE_KPA = 0.05
+"""Root mean square by which the pressure moves where a slope is taken."""
+
+
+@dataclass(frozen=True)
+class FittedTerm:
+    """Constants and amounts that were fitted together with a term.
+
+    Attributes:
+        fit: without the term.
+        left: what it leaves with the term, shape (rows,).
+        beta: coefficients of the term.
+    """
+
+    fit: FitResult
+    left: Array
+    beta: Array
+    cost: float
+
+
 def fitted_with_term(
-    problem: FitProblem, fit: FitResult, columns: Array, penalty: Array
-) -> tuple[FitResult, float]:
+    problem: FitProblem, fit: FitResult, term: TermColumns, first: Array
+) -> FittedTerm:
     """The constants and amounts of a fit, fitted anew together with a term (Marquardt 1963).
 
     Args:
-        columns: of the term, one row a feature of the problem, shape (rows, columns).
-        penalty: prior of its coefficients, shape (columns, columns).
-
-    Returns:
-        The fit without the term, whose residual holds it; and the cost with the term.
+        first: coefficients to begin with, where they are better than none, shape (columns,).
     """
     n, width = len(problem.names), len(problem.names) + len(fit.candidates)
-    beta = np.zeros(columns.shape[1])
-    state, cost = fit, _cost(problem, fit, columns, penalty, beta)
+    penalty = term.penalty
+    beta = np.zeros(term.columns.shape[1])
+    state = fit
+    left = term.residual(problem, fit, beta)
+    cost = _cost(problem, fit, left, penalty, beta)
+    begun = term.residual(problem, fit, first)
+    if _cost(problem, fit, begun, penalty, first) < cost:
+        beta, left, cost = first, begun, _cost(problem, fit, begun, penalty, first)
     damping = _FIRST_DAMPING
     matrix = right = None
     for _ in range(_ROUNDS):
         if matrix is None or right is None:
-            whole = np.hstack([problem.columns_of(state), columns])
-            matrix, right = problem.normal(whole, state.residual - columns @ beta, state.shift)
+            whole = np.hstack([problem.columns_of(state), term.slopes(problem, state, beta)])
+            matrix, right = problem.normal(whole, left, state.shift)
             matrix[width:, width:] += penalty
             right[width:] -= penalty @ beta
         step = damped_step(matrix, right, damping)
         trial = problem.at(
             state.shift + step[:n], state.candidates, state.amounts + step[n:width], fit
         )
-        there = _cost(problem, trial, columns, penalty, beta + step[width:])
-        if not there < cost:
+        there = term.residual(problem, trial, beta + step[width:])
+        reached = _cost(problem, trial, there, penalty, beta + step[width:])
+        if not reached < cost:
             damping = max(damping, 1e-4) * 8.0
             continue
-        gain = cost - there
-        state, cost, beta = trial, there, beta + step[width:]
+        gain = cost - reached
+        state, cost, left, beta = trial, reached, there, beta + step[width:]
         matrix = right = None
         if gain < _ENOUGH * cost and damping < 1e-4:
             break
         damping = max(damping / 10.0, 1e-9)
-    return state, cost
+    return FittedTerm(state, left, beta, cost)
 
 
-def _cost(
-    problem: FitProblem, fit: FitResult, columns: Array, penalty: Array, beta: Array
-) -> float:
-    """Whitened sum of squares with a term, the priors of constants and coefficients included."""
-    left = problem.whitened(fit.residual - columns @ beta)
-    return left + tolerance(fit.shift)[0] + float(beta @ penalty @ beta)
+def _cost(problem: FitProblem, fit: FitResult, left: Array, penalty: Array, beta: Array) -> float:
+    """Whitened sum of squares of what is left, priors of constants and coefficients included."""
+    return problem.whitened(left) + tolerance(fit.shift)[0] + float(beta @ penalty @ beta)

@@ -1,0 +1,269 @@
+"""The search for a term: pieces that may enter, and forward selection on slots left out.
+
+Inputs enter one piece at a time, simpler ones first where they do as well; what is closed is that
+of slots that the pieces were not fitted to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from math import factorial
+
+import numpy as np
+
+from gap.estimation.cross_validation import floor_squares
+from gap.estimation.fit_problem import FitProblem, FitResult
+from gap.model.empirical import inputs_of, scales_of
+from gap.model.features import BLOCKS
+from gap.validation.config import ValidationConfig
+from gap.validation.terms.held_out_terms import HeldOutTerms, Whole, gain_and_errors, joined
+from gap.validation.terms.pieces import (
+    GAS_INPUTS,
+    MUSCLE_INPUTS,
+    NO_FLOWS,
+    FlowColumns,
+    Piece,
+    pieces_of,
+    raised,
+    with_flows,
+)
+from gap.validation.terms.refit import FittedTerm
+from plant.arrays import Array
+from plant.effects.empirical import (
+    FLOWS,
+    INPUTS,
+    SCALE_INPUTS,
+)
+
+HALF = 0.5
+"""Share of a gap from which it counts as closed."""
+
+
+@dataclass
+class TermSearch:
+    """Pieces that may enter, and the sums from which any of them is fitted.
+
+    Attributes:
+        fit: where the plant is made linear; with the term of a refit, where there was one.
+        basis: columns of all pieces at every row of the block; those of flows stand last.
+        flows: the same before they are summed up to a pressure.
+        recalibrated: sums at the plant that was recalibrated without a term: what is closed is
+            closed of its errors.
+        gaps: squared errors of that plant on every slot, left out, beyond the floor.
+        floors: squares of the floor on every slot.
+    """
+
+    block: str
+    fit: FitResult
+    pieces: tuple[Piece, ...]
+    basis: Array
+    flows: FlowColumns
+    terms: HeldOutTerms
+    recalibrated: HeldOutTerms
+    gaps: Array
+    floors: Array
+    config: ValidationConfig
+
+    def floor(self, without: frozenset[int]) -> float:
+        """Squares of the floor on the slots that are not `without`."""
+        kept = [slot not in without for slot in self.terms.slots]
+        return float(self.floors[kept].sum())
+
+    def gap(self, without: frozenset[int]) -> float:
+        """The gap on the slots that are not `without`."""
+        kept = [slot not in without for slot in self.terms.slots]
+        return max(float(self.gaps[kept].sum()), 0.0)
+
+    def least_gain(self, without: frozenset[int], further: bool) -> float:
+        """What a piece must close on the slots that are not `without`; one beside another more."""
+        share = self.config.further_share if further else self.config.term_share
+        return share * self.gap(without)
+
+    def columns(self, chosen: Sequence[Piece]) -> Whole:
+        """Columns of some pieces."""
+        return joined([piece.at for piece in chosen])
+
+    def errors(self, chosen: Sequence[Piece], without: frozenset[int] = frozenset()) -> Array:
+        """Squared errors on every slot that is not `without`, each left out in turn."""
+        if not chosen:
+            return self.recalibrated.errors(self.columns([]), without)
+        return self.terms.errors(self.columns(chosen), without)
+
+    def select(self, without: frozenset[int] = frozenset()) -> list[Piece]:
+        """Forward selection on slots that are not `without`, then pieces that are not needed go."""
+        chosen: list[Piece] = []
+        errors = self.errors(chosen, without)
+        for _ in range(self.config.most_terms):
+            found = self._next(chosen, errors, without)
+            if found is None:
+                break
+            piece, errors = found
+            chosen = [one for one in chosen if not piece.holds(one)]
+            chosen.append(piece)
+            errors = self.errors(chosen, without)
+        return self._needed(chosen, without)
+
+    def _next(
+        self, chosen: list[Piece], errors: Array, without: frozenset[int]
+    ) -> tuple[Piece, Array] | None:
+        """The simplest piece of those that do best to within one standard error."""
+        new = [p for p in self.pieces if not any(one.holds(p) for one in chosen)]
+        # What explains least of the slots that it is fitted to will not predict the others.
+        new.sort(key=lambda p: -self.terms.explained(self.columns([*chosen, p]), without))
+        tried: list[tuple[Piece, Array]] = []
+        first = new[: self.config.tried_terms]
+        for piece in [*first, *(p for p in new if not p.inputs and p not in first)]:
+            after = self.errors([*chosen, piece], without)
+            gain, sure = gain_and_errors(errors, after)
+            # One slot alone may hold most of a gap: no number of standard errors shows it then.
+            enough = sure > self.config.term_errors or gain > HALF * self.gap(without)
+            if enough and gain > self.least_gain(without, bool(chosen)):
+                tried.append((piece, after))
+        if not tried:
+            return None
+        best = min(tried, key=lambda one: float(one[1].sum()))
+        known = {INPUTS[name] for piece in chosen for name in piece.inputs}
+
+        floor = self.floor(without)
+        left = max(float(best[1].sum()) - floor, 0.0)
+
+        def alike(after: Array) -> bool:
+            more = float((after - best[1]).sum())
+            # Of a large gap a small share is still much: no more is left than by the best, but for
+            # about the floor.
+            return more <= self.config.alike_share * float((errors - best[1]).sum()) and (
+                more <= left + floor
+            )
+
+        simple = [one for one in tried if alike(one[1])] or [best]
+        return min(
+            simple,
+            key=lambda one: (
+                len({INPUTS[name] for name in one[0].inputs} - known),
+                one[0].fine,
+                float(one[1].sum()),
+            ),
+        )
+
+    def _needed(self, chosen: list[Piece], without: frozenset[int]) -> list[Piece]:
+        """Pieces without which the error on slots left out rises for sure, or by much."""
+        for piece in [*chosen]:
+            rest = [one for one in chosen if one is not piece]
+            if not rest:
+                break
+            errors = self.errors(chosen, without)
+            lost, sure = gain_and_errors(self.errors(rest, without), errors)
+            whole = float((self.errors([], without) - errors).sum())
+            # One slot alone may hold most of a gap: what all of it hangs on is needed.
+            little = lost < self.config.alike_share * whole and sure < 1.0
+            if lost < self.least_gain(without, further=True) or little:
+                chosen = rest
+        return chosen
+
+    def within(self, chosen: Sequence[Piece], groups: frozenset[str]) -> list[Piece]:
+        """The chosen pieces, as far as they can be made of some inputs alone."""
+        made: list[Piece] = []
+        for piece in chosen:
+            if piece.groups <= groups:
+                made.append(piece)
+                continue
+            names = {n for n in (*piece.inputs, *SCALE_INPUTS[piece.scale]) if INPUTS[n] in groups}
+            alone = [
+                p
+                for p in self.pieces
+                if set(p.inputs) <= names and p.groups <= groups and p.scale in ("", piece.scale)
+            ]
+            made += sorted(alone, key=lambda one: float(self.errors([one]).sum()))[:1]
+        return list({id(piece): piece for piece in made}.values())
+
+    def shares(self, chosen: Sequence[Piece]) -> dict[str, float]:
+        """Shapley values of the inputs in what is closed on slots left out; negative ones are 0.
+
+        Empty where all of it is an offset.
+        """
+        names = sorted(frozenset[str]().union(*(piece.groups for piece in chosen)))
+        nothing = float(self.errors([]).sum())
+        worth = {
+            frozenset(some): nothing
+            - float(self.errors(self.within(chosen, frozenset(some))).sum())
+            for count in range(len(names) + 1)
+            for some in combinations(names, count)
+        }
+        n = len(names)
+        made = {}
+        for name in names:
+            value = 0.0
+            for some, alone in worth.items():
+                if name not in some:
+                    k = len(some)
+                    weight = factorial(k) * factorial(n - k - 1) / factorial(n)
+                    value += weight * (worth[some | {name}] - alone)
+            made[name] = max(value, 0.0)
+        total = sum(made.values())
+        if total <= 0.0:  # an offset does as well
+            return {}
+        return dict(sorted(((k, v / total) for k, v in made.items()), key=lambda one: -one[1]))
+
+
+def search_of(
+    problem: FitProblem, fit: FitResult, block: str, config: ValidationConfig,
+    first: TermSearch | None = None, known: tuple[Whole, FittedTerm] | None = None,
+) -> TermSearch | None:  # fmt: skip
+    """Pieces and sums for one block; None where too few slots have it or it shows no gap.
+
+    Args:
+        first: the search at the recalibrated plant, where `fit` is another.
+        known: a term that `fit` was fitted with: numbers of its columns, and the fit. What it does
+            is taken as it is there: simulated gas does not take in a flow in proportion.
+    """
+    here = problem.rows.block == BLOCKS.index(block)
+    names = GAS_INPUTS if block == "pressure" else MUSCLE_INPUTS
+    at = inputs_of(problem.grid, block, names)
+    count = int(here.sum())
+    if block in ("force", "load"):
+        at |= scales_of(problem.grid, block, problem.constants(fit.shift))
+    flows = NO_FLOWS
+    if block != "pressure":
+        pieces, columns = pieces_of(at, count)
+    elif first is None:
+        pieces, columns = pieces_of(at, count)
+        pieces, flows = with_flows(problem, pieces, columns.shape[1])
+        columns = np.hstack([columns, raised(problem, fit, flows)])
+    else:
+        pieces, flows = first.pieces, first.flows
+        plain = first.basis[:, : first.basis.shape[1] - len(flows.scales)]
+        columns = np.hstack([plain, raised(problem, fit, flows)])
+    if not pieces:
+        return None
+    size = max(float(np.sqrt(np.mean(fit.residual[here] ** 2))), 1e-9)
+    stated = float(np.sqrt(np.mean(problem.stated_residual[here] ** 2)))
+    penalty = np.zeros((columns.shape[1],) * 2)
+    for piece in pieces:
+        free = np.eye(len(piece.at)) / config.term_sd**2 + piece.rough / config.term_bend**2
+        if piece.scale in FLOWS:
+            # A short flow must be larger to be seen as much as a long one. Constants that are led
+            # astray hide most of a flow, so what it may be is told by the plant as stated.
+            unit = np.sqrt(np.mean(columns[:, piece.at] ** 2, axis=0)) / max(size, stated)
+        else:  # a scale has its own unit
+            unit = np.full(len(piece.at), _rms(at.get(piece.scale)) / size)
+        penalty[np.ix_(piece.at, piece.at)] = free * unit * unit[:, None]
+    residual = fit.residual
+    if known is not None:
+        residual = known[1].left.copy()
+        residual[here] += columns[:, known[0]] @ known[1].beta
+    terms = HeldOutTerms.of(problem, replace(fit, residual=residual), block, columns, penalty)
+    if len(terms.slots) < config.least_slots:
+        return None
+    if first is not None:
+        return replace(first, fit=fit, pieces=pieces, basis=columns, flows=flows, terms=terms)
+    base = terms.errors(np.empty(0, dtype=np.int64))
+    floor = floor_squares(problem, problem.units)[block][list(terms.slots)]
+    made = TermSearch(block, fit, pieces, columns, flows, terms, terms, base - floor, floor, config)
+    return made if made.gaps.sum() > 0.0 else None
+
+
+def _rms(x: Array | None) -> float:
+    """Root mean square of a scale; 1 without one."""
+    return 1.0 if x is None else max(float(np.sqrt(np.mean(x**2))), 1e-15)
