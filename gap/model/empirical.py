@@ -209,7 +209,11 @@ def _open_shares(grid: Grid, c: PlantConstants, late: int = -1, late_s: float = 
             mine = grid.edge_of[span] == valve
             upstream = grid.supply[own] if valve == 0 else points.pressure[own]
             turns: list[tuple[float, bool]] = []
+            command = 0.0
             for at, to in zip(grid.edge_s[span][mine], grid.edge_to[span][mine], strict=True):
+                if to == command:
+                    continue
+                command = to
                 which = 2 * valve + (0 if to > 0.5 else 1)
                 pressure = float(np.interp(at, time, upstream))
                 delay = slots[DELAY + which] + slots[DELAY_SLOPE + which] * pressure

@@ -18,8 +18,8 @@ from plant.arrays import Array
 
 _ROUNDS = 30
 _FIRST_DAMPING = 1e-6
-_ENOUGH = 1e-3
-"""Share of the cost below which a step is the last one."""
+_ENOUGH = 1.0
+"""Chi-square below which what a step gains is nothing, and the step the last one."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def fitted_with_term(
         gain = cost - reached
         state, cost, left, beta = trial, reached, there, beta + step[width:]
         matrix = right = None
-        if gain < _ENOUGH * cost and damping < 1e-4:
+        if gain < _ENOUGH and damping < 1e-4:
             break
         damping = max(damping / 10.0, 1e-9)
     return FittedTerm(state, left, beta, cost)

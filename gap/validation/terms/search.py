@@ -31,11 +31,7 @@ from gap.validation.terms.pieces import (
 )
 from gap.validation.terms.refit import FittedTerm
 from plant.arrays import Array
-from plant.effects.empirical import (
-    FLOWS,
-    INPUTS,
-    SCALE_INPUTS,
-)
+from plant.effects.empirical import FLOWS, INPUTS, SCALE_INPUTS
 
 HALF = 0.5
 """Share of a gap from which it counts as closed."""
@@ -108,7 +104,7 @@ class TermSearch:
     def _next(
         self, chosen: list[Piece], errors: Array, without: frozenset[int]
     ) -> tuple[Piece, Array] | None:
-        """The simplest piece of those that do best to within one standard error."""
+        """The simplest piece of those that do about as well as the best."""
         new = [p for p in self.pieces if not any(one.holds(p) for one in chosen)]
         # What explains least of the slots that it is fitted to will not predict the others.
         new.sort(key=lambda p: -self.terms.explained(self.columns([*chosen, p]), without))
