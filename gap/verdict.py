@@ -379,7 +379,14 @@ def _empirical(term: EmpiricalTerm | None, stage: str | None) -> dict[str, Any] 
         if expression is not None
         else None,
         "domain": {name: list(ends) for name, ends in term.correction.domain.items()},
-        "terms": [{"inputs": t.inputs, "scale": t.scale or None} for t in term.correction.terms],
+        "terms": [
+            {
+                "inputs": t.inputs,
+                "scale": t.scale or None,
+                "amount": None if t.inputs else t.coefficients[0],
+            }
+            for t in term.correction.terms
+        ],
         "nearest": [
             {"id": one.id, "share": one.share, "lacks": one.lacks, "adds": one.adds}
             for one in term.nearest

@@ -25,7 +25,10 @@ from gap.model.empirical import (
 )
 from gap.model.features import BLOCKS
 from gap.model.grid import Grid, make_grid
+from gap.reason import Cause, Reason
+from gap.reporting.empirical import empirical_figure, empirical_lines, empirical_sentences
 from gap.validation.empirical import empirical_term
+from gap.verdict import Status, Verdict
 from gap_bench import write_set
 from plant.constants import PlantConstants, nominal
 from plant.effects.empirical import INLET_FLOW, LATE, OUTLET_FLOW
@@ -181,6 +184,12 @@ def test_a_valve_that_opens_late_is_told_by_the_time_that_it_takes(tmp_path: Pat
     # The constants bring back what they cannot hold: the rest is the valve's.
     late_ms = term.correction.terms[0].coefficients[0]
     assert 0.0 < late_ms < 6.0
+    verdict = Verdict(Status.UNKNOWN, Reason(Cause.NO_GAP), "valve", (), 0.1, 0.9, empirical=term)
+    told = f"inlet opens late {late_ms:.3g} ms"
+    assert f"  amount    {told}" in empirical_lines(verdict)
+    assert told in " ".join(empirical_sentences(verdict))
+    assert verdict.as_dict()["empirical"]["terms"][0]["amount"] == pytest.approx(late_ms, rel=1e-5)
+    assert empirical_figure(term) is None
 
 
 def test_a_surplus_of_gas_is_gone_once_the_chamber_is_vented(tmp_path: Path) -> None:

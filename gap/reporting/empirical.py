@@ -67,6 +67,7 @@ def empirical_lines(verdict: Verdict) -> list[str]:
         f"{100 * term.closed_high:.0f}) on slots held out: {term.recalibrated:.3g} -> "
         f"{term.after:.3g}, floor {term.floor:.3g} {term.unit}",
     ]
+    lines += [f"  amount    {one}" for one in _amounts(term)]
     if _domain(term):
         lines.append(f"  domain    {'; '.join(_ends(name, ends) for name, ends in _domain(term))}")
     if term.expression is not None:
@@ -90,6 +91,8 @@ def empirical_sentences(verdict: Verdict) -> list[str]:
         f"{term.recalibrated:.3g} {term.unit} become {term.after:.3g} {term.unit}, the floor is "
         f"{term.floor:.3g} {term.unit}.{f' It holds for {ends}.' if ends else ''}",
     ]
+    if _amounts(term):
+        made.append(f"What is the same everywhere: {'; '.join(_amounts(term))}.")
     if term.rate_share >= _SHOWN:
         made.append(f"{100 * term.rate_share:.0f} % of it depends on a rate.")
     if term.expression is not None:
@@ -100,6 +103,16 @@ def empirical_sentences(verdict: Verdict) -> list[str]:
 
 
 _SHOWN = 0.01
+
+
+def _amounts(term: EmpiricalTerm) -> list[str]:
+    """Parts that are the same everywhere, such as "outlet shuts late 4.9 ms"."""
+    made = []
+    for one in term.correction.terms:
+        if not one.inputs:
+            what, _, unit = _SCALED.get(one.scale, f"addition, {term.unit}").partition(", ")
+            made.append(f"{what} {one.coefficients[0]:.3g} {unit}".strip())
+    return made
 
 
 def _domain(term: EmpiricalTerm) -> list[tuple[str, tuple[float, float]]]:
