@@ -27,7 +27,6 @@ from plant.effects.empirical import (
     Correction,
     braid_scales,
     pressure_per_flow,
-    product_splines,
 )
 from plant.effects.trials import without_noise_turns
 from plant.physics.layout import DELAY, DELAY_MODE, DELAY_SLOPE, nominal_slots
@@ -58,8 +57,7 @@ def flow_at(grid: Grid, correction: Correction, c: PlantConstants) -> Flow | Non
     at = point_inputs_of(grid, correction.block, Correction(correction.block, tuple(terms)).inputs)
     made = {term.scale: np.zeros(count) for term in terms}
     for term in terms:
-        columns = product_splines([at[name] for name in term.inputs], term.knots, count)
-        made[term.scale] += columns @ np.asarray(term.coefficients)
+        made[term.scale] += term.splines(at, count)
     return Flow(made) if terms else None
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable
 from dataclasses import InitVar, dataclass, field, replace
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -54,7 +55,6 @@ class Model:
     tared: Array = field(init=False)
     _plain: dict[str, tuple[PlantConstants, Array]] = field(init=False, default_factory=dict)
     _corrections: dict[str, Array] = field(init=False, default_factory=dict)
-    _pushed: list[chamber.Push | None] = field(init=False, default_factory=list)
     _kept: dict[tuple[Any, ...], Array] = field(init=False, default_factory=dict, repr=False)
 
     def __post_init__(self, around: Array | None, like: Model | None) -> None:
@@ -117,14 +117,15 @@ class Model:
             self._corrections[block] = made
         return self._corrections[block]
 
+    @cached_property
     def _corrected_push(self) -> chamber.Push | None:
         """What the data set's empirical term adds to the gas of the chamber."""
         correction = self.grid.data.corrections.of.get("pressure")
-        if correction is not None and not self._pushed and not self.covers("pressure"):
-            c = self.grid.data.constants
-            flow = flow_at(self.grid, correction, c)
-            self._pushed.append(None if flow is None else flow.push(self.grid, c))
-        return self._pushed[0] if self._pushed else None
+        if correction is None or self.covers("pressure"):
+            return None
+        c = self.grid.data.constants
+        flow = flow_at(self.grid, correction, c)
+        return None if flow is None else flow.push(self.grid, c)
 
     def pressure_with_flow(self, flow: Flow, c: PlantConstants, active: Active) -> Array:
         """Rows of the pressure, measured minus predicted, with a flow into the chamber.
@@ -333,7 +334,7 @@ class Model:
 
         With the largest fall of the supply, Pa. `push` is what is added from point to point.
         """
-        corrected = self._corrected_push()
+        corrected = self._corrected_push
         if corrected is not None:
             push = corrected if push is None else push + corrected
         grid = self.grid

@@ -2,7 +2,7 @@
 
 The residual that a fit leaves in one block is learnt by splines of its inputs. Inputs enter by
 forward selection on slots that are left out whole (replicates stay together), simpler ones first
-where they do as well to within one standard error. The closed fraction is taken on slots that had
+where they do about as well. The closed fraction is taken on slots that had
 no part in the selection either: it is repeated without each slot.
 """
 

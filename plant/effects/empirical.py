@@ -93,7 +93,7 @@ class SplineTerm:
     Attributes:
         knots: ascending, one tuple an input, in its unit.
         coefficients: one a product of splines, the last input running fastest.
-        scale: one of `SCALES` that the splines are multiplied by, or "" for none.
+        scale: one of `SCALES` that the splines are multiplied by, one of `FLOWS`, or "" for none.
     """
 
     inputs: tuple[str, ...]
@@ -102,10 +102,14 @@ class SplineTerm:
     scale: str = ""
 
     def value(self, at: Mapping[str, Array], count: int) -> Array:
-        """Value at `count` instants, shape (count,); of a flow in mg/s."""
+        """Value at `count` instants, shape (count,)."""
+        made = self.splines(at, count)
+        return np.asarray(made * at[self.scale] if self.scale else made)
+
+    def splines(self, at: Mapping[str, Array], count: int) -> Array:
+        """Value before it is multiplied by the scale, shape (count,)."""
         columns = product_splines([at[name] for name in self.inputs], self.knots, count)
-        made = columns @ np.asarray(self.coefficients)
-        return np.asarray(made * at[self.scale] if self.scale not in ("", FLOW) else made)
+        return np.asarray(columns @ np.asarray(self.coefficients))
 
 
 @dataclass(frozen=True)

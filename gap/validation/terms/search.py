@@ -215,22 +215,21 @@ def search_of(
             is taken as it is there: simulated gas does not take in a flow in proportion.
     """
     here = problem.rows.block == BLOCKS.index(block)
-    names = GAS_INPUTS if block == "pressure" else MUSCLE_INPUTS
-    at = inputs_of(problem.grid, block, names)
     count = int(here.sum())
-    if block in ("force", "load"):
-        at |= scales_of(problem.grid, block, problem.constants(fit.shift))
+    scales: dict[str, Array] = {}
     flows = NO_FLOWS
     if block != "pressure":
-        pieces, columns = pieces_of(at, count)
-    elif first is None:
-        pieces, columns = pieces_of(at, count)
-        pieces, flows = with_flows(problem, pieces, columns.shape[1])
-        columns = np.hstack([columns, raised(problem, fit, flows)])
+        if block in ("force", "load"):
+            scales = scales_of(problem.grid, block, problem.constants(fit.shift))
+        pieces, columns = pieces_of(inputs_of(problem.grid, block, MUSCLE_INPUTS) | scales, count)
     else:
-        pieces, flows = first.pieces, first.flows
-        plain = first.basis[:, : first.basis.shape[1] - len(flows.scales)]
-        columns = np.hstack([plain, raised(problem, fit, flows)])
+        if first is None:
+            pieces, columns = pieces_of(inputs_of(problem.grid, block, GAS_INPUTS), count)
+            pieces, flows = with_flows(problem, pieces, columns.shape[1])
+        else:  # only what a flow does depends on the fit
+            pieces, flows = first.pieces, first.flows
+            columns = first.basis[:, : first.basis.shape[1] - len(flows.scales)]
+        columns = np.hstack([columns, raised(problem, fit, flows)])
     if not pieces:
         return None
     size = max(float(np.sqrt(np.mean(fit.residual[here] ** 2))), 1e-9)
@@ -243,7 +242,7 @@ def search_of(
             # astray hide most of a flow, so what it may be is told by the plant as stated.
             unit = np.sqrt(np.mean(columns[:, piece.at] ** 2, axis=0)) / max(size, stated)
         else:  # a scale has its own unit
-            unit = np.full(len(piece.at), _rms(at.get(piece.scale)) / size)
+            unit = np.full(len(piece.at), _rms(scales.get(piece.scale)) / size)
         penalty[np.ix_(piece.at, piece.at)] = free * unit * unit[:, None]
     residual = fit.residual
     if known is not None:
