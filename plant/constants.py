@@ -33,6 +33,8 @@ class Key:
     to_si: float
     low: float
     high: float
+    default: float | None = None
+    """Value where a plant file says nothing, in the unit of the key; None: it must say it."""
 
 
 _KPA = 1e3
@@ -74,14 +76,30 @@ KEYS: dict[str, Key] = {
         ("outlet_pull_in_v_per_kpa", "outlet_pull_in_v_per_pa", 1e-3, -0.1, 0.1),
         ("outlet_drop_out_v", "outlet_drop_out_v", 1.0, 0.0, 60.0),
     ]
+} | {
+    name: Key(name, field, to_si, low, high, 0.0)
+    for name, field, to_si, low, high in [
+        ("inlet_closing_kpa", "inlet_closing_pa", _KPA, 0.0, 1000.0),
+        ("outlet_closing_kpa", "outlet_closing_pa", _KPA, 0.0, 1000.0),
+        ("inlet_dead_band", "inlet_dead_band", 1.0, 0.0, 0.9),
+        ("outlet_dead_band", "outlet_dead_band", 1.0, 0.0, 0.9),
+        ("valve_lag_ms", "valve_lag_s", _MS, 0.0, 1000.0),
+    ]
 }
 """All numeric keys of a plant file; bounds are in the unit of the key and included."""
 
 CHOICES: dict[str, tuple[str, ...]] = {
     "delay_mode": ("inertial", "transport"),
     "outlet_normally": ("closed", "open"),
+    "valve": ("on_off", "proportional"),
 }
-"""Keys with a text value, and their possible values."""
+"""Keys with a text value, and their possible values; the first is taken for `valve`."""
+
+PROPORTIONAL: dict[str, float] = {
+    "inlet_dead_band": 0.03, "outlet_dead_band": 0.03, "valve_lag_ms": 5.0,
+}  # fmt: skip
+"""Constants that a proportional valve alone has, and their tolerance where none is stated: wide,
+since few data sheets give them."""
 
 
 @dataclass(frozen=True)
@@ -123,6 +141,12 @@ class PlantConstants:
     outlet_drop_out_v: float
     delay_mode: str
     outlet_normally: str
+    valve: str = "on_off"
+    inlet_closing_pa: float = 0.0
+    outlet_closing_pa: float = 0.0
+    inlet_dead_band: float = 0.0
+    outlet_dead_band: float = 0.0
+    valve_lag_s: float = 0.0
     tolerances: tuple[tuple[str, float | str], ...] = ()
 
     def with_overrides(
@@ -146,15 +170,27 @@ class PlantConstants:
                 changes[key.field] = number * key.to_si
         return _consistent(dataclasses.replace(self, **changes), origin)
 
+    def check_plain_valves(self, what: str) -> None:
+        """Raise `PlantError` where the valves are more than `what` follows: on, off and delays."""
+        if self.valve != "on_off" or self.inlet_closing_pa or self.outlet_closing_pa:
+            raise PlantError(
+                f"{what} has on/off valves without a closing pressure; proportional valves and "
+                "closing pressures are for single muscles and for the diagnosis"
+            )
+
     def value(self, name: str) -> float:
         """Value of a numeric plant-file key in the unit of the key. Raises `PlantError`."""
         key = _key(name, "plant constants")
         return float(getattr(self, key.field)) / key.to_si
 
     def tolerance_si(self, name: str) -> float:
-        """One standard deviation of a plant-file key in SI; 0 if not stated."""
+        """One standard deviation of a plant-file key in SI; 0 if not stated.
+
+        What a proportional valve alone has is known to `PROPORTIONAL` where nothing is stated.
+        """
         key = _key(name, "plant constants")
-        stated = dict(self.tolerances).get(name, 0.0)
+        usual = PROPORTIONAL.get(name, 0.0) if self.valve == "proportional" else 0.0
+        stated = dict(self.tolerances).get(name, usual)
         if isinstance(stated, str):
             return abs(float(getattr(self, key.field))) * _percent(name, stated, "tolerance") / 100
         return stated * key.to_si
@@ -193,11 +229,12 @@ def nominal() -> PlantConstants:
 
 
 def _from_table(table: Mapping[str, Any], origin: str) -> PlantConstants:
-    missing = [name for name in [*KEYS, *CHOICES] if name not in table]
+    needed = [name for name, key in KEYS.items() if key.default is None]
+    missing = [name for name in [*needed, *CHOICES] if name not in {*table, "valve"}]
     if missing:
         raise PlantError(f"{origin}: missing {', '.join(missing)}; a plant file needs every key")
     # All placeholders are replaced, because the table has every key.
-    blank: dict[str, Any] = {key.field: math.nan for key in KEYS.values()}
+    blank: dict[str, Any] = {key.field: math.nan for key in KEYS.values() if key.default is None}
     return PlantConstants(**blank, delay_mode="", outlet_normally="").with_overrides(table, origin)
 
 
@@ -255,4 +292,9 @@ def _consistent(c: PlantConstants, origin: str) -> PlantConstants:
             f"length_max_mm ({c.length_max_m * 1e3:g}), "
             f"braid_length_mm ({c.braid_length_m * 1e3:g})"
         )
+    for name in PROPORTIONAL:
+        if c.valve != "proportional" and c.value(name) != 0.0:
+            raise PlantError(
+                f'{origin}: {name} is of a proportional valve alone; state valve = "proportional"'
+            )
     return c

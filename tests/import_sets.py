@@ -49,6 +49,7 @@ def prepare_page(folder: Path) -> None:
     _logger(folder)
     _tables(folder)
     _rates(folder)
+    _spool(folder)
     machine(folder)
 
 
@@ -80,6 +81,22 @@ def _tables(folder: Path) -> None:
             for percent in (2.0, 8.0, 14.0):
                 lines.append(f"{psi},{percent},{psi * 0.15 * (20.0 - percent) / rest * 4.0:.4f}")
         (folder / f"static-{muscle}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _spool(folder: Path) -> None:
+    """A pressure that a spool valve swings, and its voltage."""
+    time_s = np.arange(0.0, 3.0, 0.01)
+    volts = np.where((time_s > 0.2) & (time_s < 2.5), 5.0 + 3.0 * np.sin(6.0 * time_s), 5.0)
+    volts = np.where(time_s > 2.6, 3.0, volts)
+    bar = np.maximum(np.cumsum(volts - 5.0) * 0.05, 0.0)
+    for run in (1, 2):
+        rng = np.random.default_rng(run)
+        rows = [
+            f"{t:.2f},{u:.6f},{p:.4f}"
+            for t, u, p in zip(time_s, volts, bar + rng.normal(0.0, 0.003, len(bar)), strict=True)
+        ]
+        text = "\n".join(["t,u,p", *rows, ""])
+        (folder / f"spool-{run}.csv").write_text(text, encoding="utf-8")
 
 
 def _rates(folder: Path) -> None:

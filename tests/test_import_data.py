@@ -54,7 +54,7 @@ def test_the_commands_of_the_page_make_what_it_says(
 ) -> None:
     monkeypatch.chdir(desk)
     commands = re.findall(r"^    (pamrig import .*)$", PAGE.read_text("utf-8"), re.MULTILINE)
-    assert len(commands) == 6
+    assert len(commands) == 7
     for command in commands:
         pamrig(command, monkeypatch, capsys)
     assert (desk / "first.png").read_bytes().startswith(b"\x89PNG")
@@ -72,6 +72,10 @@ def test_the_commands_of_the_page_make_what_it_says(
     assert np.diff(pull.trials[1]["force_n"].time_s) == pytest.approx(1 / 400, abs=1e-9)
     assert np.diff(pull.trials[1]["length_mm"].time_s) == pytest.approx(0.02, abs=1e-9)
     assert pull.trials[0]["pressure_kpa"].value.mean() == pytest.approx(150.0, abs=0.5)
+    spool = read_dataset(desk / "data" / "spool")
+    assert spool.constants.valve == "proportional"
+    assert spool.trials[0]["inlet_cmd"].value.max() == pytest.approx(0.6)
+    assert spool.trials[0]["outlet_cmd"].value.max() == pytest.approx(0.4)
 
 
 def test_the_page_has_a_row_for_every_key() -> None:
@@ -92,7 +96,7 @@ def test_the_page_has_a_row_for_every_key() -> None:
 
 
 def test_every_mapping_that_is_shown_or_shipped_can_be_read(desk: Path) -> None:
-    assert set(page_mappings()) == {"log.toml", "static.toml", "pull.toml"}
+    assert set(page_mappings()) == {"log.toml", "static.toml", "pull.toml", "spool.toml"}
     shipped = sorted((HOUSE / "tests" / "real").glob("*/mapping.toml"))
     assert len(shipped) == 2
     for path in shipped:

@@ -193,9 +193,15 @@ def _range(table: Table, name: str, value: Array, constants: PlantConstants) -> 
     infinite = np.flatnonzero(np.isinf(value))
     if len(infinite):
         raise table.error(int(infinite[0]), name, "is infinite", "leave the cell empty instead")
+    expected = ""
     if name in ("inlet_cmd", "outlet_cmd"):
-        low, high = 0.0, 1.0
         bad = np.isfinite(value) & (value != 0.0) & (value != 1.0)
+        expected = (
+            'expected 0 or 1; of a proportional valve (valve = "proportional" in bench.toml) 0 to 1'
+        )
+        if constants.valve == "proportional":
+            bad = (value < 0.0) | (value > 1.0)
+            expected = "expected 0 to 1, the share of the whole opening"
     else:
         braid = constants.braid_length_m * 1e3
         limits = {"length_mm": (braid / 30.0, 10.0 * braid)}
@@ -205,10 +211,12 @@ def _range(table: Table, name: str, value: Array, constants: PlantConstants) -> 
     rows = np.flatnonzero(bad)
     if len(rows):
         row = int(rows[0])
-        expected = "expected 0 or 1" if high == 1.0 else f"allowed {low:g} to {high:g}"
+        if expected:
+            raise table.error(row, name, f"{value[row]:g} is no command", expected)
         raise table.error(
-            row, name, f"{value[row]:g} is far outside the sensor's range", f"{expected}; unit?"
-        )
+            row, name, f"{value[row]:g} is far outside the sensor's range",
+            f"allowed {low:g} to {high:g}; unit?",
+        )  # fmt: skip
 
 
 def _first_line(error: Exception) -> str:

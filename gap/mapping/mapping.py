@@ -10,7 +10,7 @@ import math
 import re
 import tomllib
 from collections.abc import Mapping as MappingOf
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,8 @@ _STEM = "stem"
 LONGEST_S = 3.0e9
 """Largest time, in s: 64 bits hold three times as many nanoseconds. 1970 is half as far away."""
 LARGEST_BIT = 52
+SHORTEST_PERIOD_MS, LONGEST_PERIOD_MS = 0.1, 60e3
+"""Periods of a pulsed valve."""
 
 
 @dataclass(frozen=True)
@@ -73,12 +75,19 @@ class Stream:
 
 @dataclass(frozen=True)
 class State:
-    """A column that says on or off: 0 or 1, a bit of a number, certain values, or a threshold."""
+    """A column that says on or off: 0 or 1, a bit of a number, certain values, or a threshold.
+
+    Attributes:
+        span: or how far: the values at which a valve is told to be shut and wholly open.
+        pwm_period_ms: the share of that way is the duty of pulses of this period.
+    """
 
     stream: Stream
     bit: int | None = None
     on: tuple[str | float, ...] | None = None
     above: float | None = None
+    span: tuple[float, float] | None = None
+    pwm_period_ms: float | None = None
 
 
 @dataclass(frozen=True)
@@ -256,7 +265,19 @@ def read_mapping(path: Path) -> Mapping:
         labels, facts, common, muscles, join, companion,
     )  # fmt: skip
     _check_rest_lengths(mapping, root)
+    _check_valves(mapping)
     return mapping
+
+
+def _check_valves(mapping: Mapping) -> None:
+    """A command that opens a valve part of the way is that of a proportional valve."""
+    known = [one.bench.get("valve") for one in (mapping.common, *mapping.muscles.values())]
+    for name, state in mapping.commands.items():
+        if state.span and not state.pwm_period_ms and "proportional" not in known:
+            raise GapError(
+                f"{mapping.path}: channels.{name}.open", "is for a proportional valve",
+                'state valve = "proportional" in [bench]; of an on/off valve, pwm_period_ms',
+            )  # fmt: skip
 
 
 def _join(root: Section, time: TimeBase, channels: tuple[Measured, ...]) -> Join | None:
@@ -388,7 +409,7 @@ def _channels(
             continue  # `close` refuses it, with the nearest name
         one = _required(table, name)
         if name in COMMANDS:
-            commands[name] = _state(one, names)
+            commands[name] = _command(one, names)
         elif name == "direction":
             if not time.settled:
                 raise one.error("", "is for settled points; here the times show it")
@@ -414,6 +435,29 @@ def _channels(
         if time.settled and channel.stream.time is not None:
             raise table.error(f"{channel.name}.time", "settled points have no time")
     return tuple(channels), commands, direction
+
+
+def _command(table: Section, names: set[str]) -> State:
+    """A command of a valve: a state, or how far it is to open."""
+    state = _state(table, names)
+    shut, wide = table.number("shut"), table.number("open")
+    period = table.positive("pwm_period_ms")
+    if shut is None and wide is None and period is None:
+        return state
+    if shut is None or wide is None:
+        key = "shut" if shut is None else "open"
+        raise table.error(key, "is missing", "state the values of shut and of wholly open")
+    if period is not None and not SHORTEST_PERIOD_MS <= period <= LONGEST_PERIOD_MS:
+        raise table.error(
+            "pwm_period_ms",
+            f"{period:g} ms; allowed {SHORTEST_PERIOD_MS:g} to {LONGEST_PERIOD_MS:g}",
+            "pulses that a valve cannot follow are the command of a proportional valve",
+        )
+    if shut == wide:
+        raise table.error("open", f"is {wide:g}, as shut is")
+    if any(given is not None for given in (state.bit, state.on, state.above)):
+        raise table.error("open", "expected at most one of bit, on, above, and shut with open")
+    return replace(state, span=(shut, wide), pwm_period_ms=period)
 
 
 def _state(table: Section, names: set[str]) -> State:

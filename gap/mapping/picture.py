@@ -13,7 +13,7 @@ from gap.errors import GapError
 _AXIS = {
     "supply_kpa": "supply / kPa", "pressure_kpa": "pressure / kPa (gauge)",
     "length_mm": "length / mm", "force_n": "force / N", "temperature_c": "temperature / °C",
-    "inlet_cmd": "inlet / 0 or 1", "outlet_cmd": "outlet / 0 or 1",
+    "inlet_cmd": "inlet / 0 to 1", "outlet_cmd": "outlet / 0 to 1",
 }  # fmt: skip
 
 

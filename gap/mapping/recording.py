@@ -102,7 +102,7 @@ class Recording:
     Attributes:
         found: the main file.
         channels: measured, in the units of the dataset, NaN removed unless the points are settled.
-        commands: 0 or 1.
+        commands: 0 or 1, or between for a proportional valve.
         direction: +1 up, -1 down, 0 unknown; settled points only.
         dated: whether its times count from 1970, so that files share one clock.
         offset: by how much the clock of a companion file was shifted.
@@ -264,7 +264,7 @@ def read_recording(mapping: Mapping, found: Found, folder: Path) -> Recording:
         rest = mapping.rest_length_mm(channel, found.filled(muscle))
         made.channels[channel.name] = _measured(made, channel, rest)
     for name, state in mapping.commands.items():
-        made.commands[name] = on_off(made, state)
+        made.commands[name] = on_off(made, state) if state.span is None else _opening(made, state)
     if mapping.direction is not None:
         series = made.series(mapping.direction.stream)
         up = is_one_of(series.column, mapping.direction.up)
@@ -376,6 +376,50 @@ def on_off(recording: Recording, state: State) -> Series:
             int(odd[0]), f"{raw[odd[0]]:g} is neither 0 nor 1", "state bit, on or above"
         )
     return Series(column, raw, series.ns)
+
+
+def _opening(recording: Recording, state: State) -> Series:
+    """A column that says how far a valve is to open as 0 to 1, or as pulses. Raises `GapError`."""
+    series = recording.series(state.stream)
+    column = series.column
+    raw = numbers(column)
+    empty = np.flatnonzero(np.isnan(raw))
+    if len(empty):
+        raise column.error(int(empty[0]), "is empty", "a command is never unknown")
+    assert state.span is not None
+    shut, wide = state.span
+    share = np.clip((raw - shut) / (wide - shut), 0.0, 1.0)
+    if not np.any(share > 0.0) and np.ptp(raw) > 0.0:
+        raise GapError(
+            column.where, f"goes from {raw.min():g} to {raw.max():g} and never opens the valve",
+            f"check shut ({shut:g}) and open ({wide:g})",
+        )  # fmt: skip
+    if state.pwm_period_ms is None or series.ns is None:
+        return Series(column, share, series.ns)
+    return _pulses(Series(column, share, series.ns), round(state.pwm_period_ms * 1e6))
+
+
+def _pulses(duty: Series, period_ns: int) -> Series:
+    """The pulses of a duty: each period begins with one, the first period with the first sample."""
+    ns = duty.ns
+    assert ns is not None
+    if (int(ns[-1]) - int(ns[0])) / period_ns > _MOST_PULSES:
+        raise GapError(
+            duty.column.where, f"makes more than {_MOST_PULSES:g} pulses", "check pwm_period_ms"
+        )
+    begin = np.arange(ns[0], ns[-1] + 1, period_ns, dtype=np.int64)
+    share = np.asarray(duty.values)[np.searchsorted(ns, begin, side="right") - 1]
+    end = begin + np.round(share * period_ns).astype(np.int64)
+    times = np.stack([begin, end], axis=1)
+    values = np.stack([np.ones(len(begin)), np.zeros(len(begin))], axis=1)
+    # A duty of nothing has no pulse, and one of a whole period does not end before the next.
+    values[end == begin] = 0.0
+    keep = np.stack([np.ones(len(begin), dtype=bool), (end > begin) & (end < begin + period_ns)], 1)
+    return Series(duty.column, values[keep], times[keep], duty.dropped)
+
+
+_MOST_PULSES = 2e6
+"""Pulses of a recording beyond which a period is a slip of the unit."""
 
 
 def is_one_of(column: Column, among: tuple[str | float, ...]) -> Mask:

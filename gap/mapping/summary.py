@@ -93,6 +93,9 @@ def _rule(state: State) -> str:
         return f"bit {state.bit}"
     if state.on is not None:
         return "on: " + ", ".join(f"{v:g}" if isinstance(v, float) else v for v in state.on)
+    if state.span is not None:
+        way = f"shut {state.span[0]:g}, open {state.span[1]:g}"
+        return f"{way}, pulses of {state.pwm_period_ms:g} ms" if state.pwm_period_ms else way
     return f"above {state.above:g}" if state.above is not None else "0 or 1"
 
 

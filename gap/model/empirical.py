@@ -29,8 +29,9 @@ from plant.effects.empirical import (
     pressure_per_flow,
 )
 from plant.effects.trials import without_noise_turns
-from plant.physics.layout import DELAY, DELAY_MODE, DELAY_SLOPE, nominal_slots
+from plant.physics.layout import DEAD_BAND, DELAY, DELAY_MODE, DELAY_SLOPE, nominal_slots
 from plant.physics.muscle import braid_force
+from plant.physics.valve import opening
 
 _SLIP_KPA = 15.0
 _SLIP_MM = 1.0
@@ -186,7 +187,7 @@ _LATER_S = 1e-3
 
 
 def _open_shares(grid: Grid, c: PlantConstants, late: int = -1, late_s: float = 0.0) -> Array:
-    """Share of the time around each point for which inlet and outlet are open, shape (2, points).
+    """Opening of inlet and outlet in the mean over the time around each point, shape (2, points).
 
     A valve acts after its delay; a command that has not acted yet when the next one comes is
     forgotten, unless the constants say that all edges act. `late` is the number of the delay that
@@ -206,28 +207,29 @@ def _open_shares(grid: Grid, c: PlantConstants, late: int = -1, late_s: float = 
         for valve in range(2):
             mine = grid.edge_of[span] == valve
             upstream = grid.supply[own] if valve == 0 else points.pressure[own]
-            turns: list[tuple[float, bool]] = []
+            turns: list[tuple[float, float]] = []
+            band = slots[DEAD_BAND + valve]
             command = 0.0
             for at, to in zip(grid.edge_s[span][mine], grid.edge_to[span][mine], strict=True):
                 if to == command:
                     continue
+                which = 2 * valve + (0 if to > command else 1)
                 command = to
-                which = 2 * valve + (0 if to > 0.5 else 1)
                 pressure = float(np.interp(at, time, upstream))
                 delay = slots[DELAY + which] + slots[DELAY_SLOPE + which] * pressure
                 acts = float(at) + max(delay, 0.0)
                 if slots[DELAY_MODE] == 0.0 and turns and turns[-1][0] > at:
                     turns.pop()
                 else:
-                    turns.append((max(acts, turns[-1][0] if turns else acts), to > 0.5))
+                    turns.append((max(acts, turns[-1][0] if turns else acts), opening(to, band)))
             made[valve, own] = _share_open(turns, ends)
     return made
 
 
-def _share_open(turns: list[tuple[float, bool]], ends: Array) -> Array:
-    """Share of each span between `ends` for which a valve that turns at some instants is open."""
+def _share_open(turns: list[tuple[float, float]], ends: Array) -> Array:
+    """Mean opening of a valve over each span between `ends`; `turns` are instants and openings."""
     instants = np.array([at for at, _ in turns])
-    state = np.r_[False, [to for _, to in turns]].astype(np.float64)
+    state = np.r_[0.0, [to for _, to in turns]]
     if not len(instants):
         return np.zeros(len(ends) - 1)
     # Seconds for which it has been open at each turn, then at each end.
@@ -250,6 +252,9 @@ def _through(grid: Grid, c: PlantConstants, surplus_pa: float) -> Array:
     dense = 1e6 * REFERENCE_DENSITY_KG_M3
     inlet = c.inlet_conductance_m3_s_pa * supply * _factor(inside / supply, c.critical_ratio)
     outlet = c.outlet_conductance_m3_s_pa * inside * _factor(outside / inside, c.critical_ratio)
+    # What holds a valve open is the pressure across it.
+    inlet = np.where(supply - inside > c.inlet_closing_pa, inlet, 0.0)
+    outlet = np.where(inside - outside > c.outlet_closing_pa, outlet, 0.0)
     return dense * np.stack([inlet, -outlet])
 
 
@@ -278,7 +283,7 @@ def inputs_of(grid: Grid, block: str, names: tuple[str, ...]) -> dict[str, Array
     the pressure beyond its own mean over that time (a low-pass of first order),
     `pull_change_<time>_n` the same of the braid's pull; `openings` counts the commands to open a
     valve in the trial so far; `valve` is +1 while the inlet is commanded open, -1 while the outlet
-    is.
+    is, and between for a proportional valve.
     """
     points = grid.points[block]
     here = grid.rows.block == BLOCKS.index(block)
@@ -374,7 +379,7 @@ def _beyond_mean(points: Points, values: Array, tau_s: float) -> Array:
 
 
 def _edges(grid: Grid, points: Points) -> tuple[Array, Array]:
-    """Seconds since the last command's edge, and which valve is commanded open."""
+    """Seconds since the last command's edge, and the inlet's command less the outlet's."""
     since = np.full(len(points.time_s), _LONG_AGO_S)
     valve = np.zeros(len(points.time_s))
     for t in np.unique(points.trial):
@@ -389,7 +394,7 @@ def _edges(grid: Grid, points: Points) -> tuple[Array, Array]:
         since[own] = np.where(after, np.minimum(ago, _LONG_AGO_S), _LONG_AGO_S)
         inlet = np.r_[0.0, _held(np.where(of == 0, to, np.nan))]
         outlet = np.r_[0.0, _held(np.where(of == 1, to, np.nan))]
-        valve[own] = (inlet > 0.5)[last + 1].astype(float) - (outlet > 0.5)[last + 1]
+        valve[own] = inlet[last + 1] - outlet[last + 1]
     return since, valve
 
 
@@ -399,7 +404,12 @@ def _openings(grid: Grid, points: Points) -> Array:
     for t in np.unique(points.trial):
         own = points.trial == t
         span = slice(int(grid.first_edge[t]), int(grid.first_edge[t + 1]))
-        opens = grid.edge_s[span][grid.edge_to[span] > 0.5]
+        opens = np.zeros(0)
+        for side in (0, 1):
+            mine = grid.edge_of[span] == side
+            to = grid.edge_to[span][mine]
+            opens = np.r_[opens, grid.edge_s[span][mine][(to > 0.0) & (np.r_[0.0, to[:-1]] == 0.0)]]
+        opens.sort()
         made[own] = np.searchsorted(opens, points.time_s[own], side="right")
     return made
 

@@ -34,7 +34,7 @@ from plant.constants import (
 )
 from plant.effects import pressure_stage as stage
 from plant.effects.reference import FULL_PRESSURE_PA
-from plant.physics import flow, layout, muscle
+from plant.physics import flow, layout, muscle, valve
 from plant.physics.lag import follow
 from plant.physics.layout import nominal_slots
 
@@ -46,7 +46,11 @@ _factor = inlined(flow.subsonic_factor)
 _outward = called(flow.outward_drive)
 _braid_volume = inlined(muscle.braid_volume)
 _follow = inlined(follow)
-_PENDING = 32
+_opening = inlined(valve.opening)
+_PENDING = 256
+_SPOOL_STEP = 0.125
+"""Part of a valve's lag for which its mean opening stands."""
+_ARRIVED = 1e-5
 _FOLLOW, _LEARN, _APPLY, _PUSH = 0, 1, 2, 3
 ACTS_S = 0.03
 """Seconds after a command's edge in which a valve may still move."""
@@ -82,28 +86,29 @@ def laminar_drop(absolute: float, outside: float) -> float:
 
 @inlined
 def _flows(
-    q: Any, p: float, supply: float, inlet: bool, outlet: bool, fall: float, scale: float,
+    q: Any, p: float, supply: float, inlet: float, outlet: float, fall: float, scale: float,
     more_in: float, more_out: float,
 ) -> tuple[float, float, float]:  # fmt: skip
     """Mass flow in, mass flow out (kg/s), and the inlet's flow as a share of choked flow.
 
-    `scale` is what conductance and absolute pressure are multiplied by, kg/m3; `more_in` and
+    `inlet` and `outlet` are how far the valves are open, 0 to 1. `scale` is what conductance and
+    absolute pressure are multiplied by, kg/m3; `more_in` and
     `more_out` are what something else adds to the flows of the valves, as a share of them.
     """
     absolute = p + q[layout.ATMOSPHERE]
     flow_in = 0.0
     flow_out = 0.0
     share = 0.0
-    if inlet:
+    if inlet > 0.0 and supply - p > q[layout.CLOSING]:
         above = max(supply - fall, -0.9 * q[layout.ATMOSPHERE]) + q[layout.ATMOSPHERE]
         share = _factor(absolute / above, q[layout.INLET_CRITICAL_RATIO])
         wider = 1.0 + q[stage.INLET_DROP] * (supply - fall - p) / FULL_PRESSURE_PA
-        flow_in = scale * q[layout.INLET_CONDUCTANCE] * max(wider, 0.02) * above * share
+        flow_in = scale * inlet * q[layout.INLET_CONDUCTANCE] * max(wider, 0.02) * above * share
         flow_in *= max(1.0 + more_in, 0.0)
     area = q[stage.LEAK]
-    if outlet:
+    if outlet > 0.0 and (q[layout.CLOSING + 1] == 0.0 or p > q[layout.CLOSING + 1]):
         wider = max(1.0 + q[stage.OUTLET_DROP] * p / FULL_PRESSURE_PA, 0.02)
-        area += q[layout.OUTLET_CONDUCTANCE] * wider * max(1.0 + more_out, 0.0)
+        area += outlet * q[layout.OUTLET_CONDUCTANCE] * wider * max(1.0 + more_out, 0.0)
     if area > 0.0:
         flow_out = (
             scale * area * _outward(absolute, q[layout.ATMOSPHERE], q[layout.OUTLET_CRITICAL_RATIO])
@@ -124,7 +129,7 @@ _LEAST_SHARE = 0.05
 
 @called
 def _advance(
-    q: Any, s: Any, span: float, v0: float, v1: float, supply: float, inlet: bool, outlet: bool,
+    q: Any, s: Any, span: float, v0: float, v1: float, supply: float, inlet: float, outlet: float,
     scale: float, more_in: float, more_out: float,
 ) -> None:  # fmt: skip
     """Move gas state s over `span` s.
@@ -137,7 +142,10 @@ def _advance(
     k = q[layout.EXPONENT]
     heat = GAS_CONSTANT_J_KG_K * q[layout.GAS_TEMPERATURE]
     at = q[layout.ATMOSPHERE]
-    quiet = not inlet and not outlet and q[stage.LEAK] == 0.0 and q[stage.LEAK_LAMINAR] == 0.0
+    # Flow ends where the pressures are equal, or where too little holds the valve open.
+    filled = supply - q[layout.CLOSING]
+    vented = q[layout.CLOSING + 1]
+    quiet = inlet == 0.0 and outlet == 0.0 and q[stage.LEAK] == 0.0 and q[stage.LEAK_LAMINAR] == 0.0
     quiet = quiet and q[stage.LINE] == 0.0 and q[stage.ELASTIC] == 0.0
     while left > 1e-12:
         p = s[0]
@@ -163,15 +171,15 @@ def _advance(
                 rate -= q[stage.LINE] / v * (p - s[4]) / q[stage.LINE_TIME]
             # A step changes the pressure by a third of what drives the flow, at most.
             drive = 1e9
-            if inlet:
-                drive = abs(supply - s[3] - p) + 200.0
-            if outlet or q[stage.LEAK] > 0.0:
-                drive = min(drive, abs(p) + 200.0)
+            if inlet > 0.0:
+                drive = abs(filled - s[3] - p) + 200.0
+            if outlet > 0.0 or q[stage.LEAK] > 0.0:
+                drive = min(drive, abs(p - vented) + 200.0)
             h = min(left, max(0.3 * drive / (abs(rate) + 1.0), 2e-5))
-            h = min(h, _LONGEST_S if inlet or outlet else _LONGEST_SHUT_S)
+            h = min(h, _LONGEST_SHUT_S if inlet == 0.0 and outlet == 0.0 else _LONGEST_S)
         if q[stage.LINE] > 0.0:
             h = min(h, 0.3 * q[stage.LINE_TIME])
-        if q[stage.DROOP_TIME] > 0.0 and inlet:
+        if q[stage.DROOP_TIME] > 0.0 and inlet > 0.0:
             h = min(h, 0.3 * q[stage.DROOP_TIME])
         v_next = v + slope * h
         if quiet:
@@ -198,10 +206,12 @@ def _advance(
             iso = ((s[1] + at) * v + heat * mass) / v_next - at
             # Flow ends at equal pressure; no step may carry the gas beyond.
             alone = slope == 0.0 and q[stage.LINE] == 0.0
-            if inlet and not outlet and p <= supply - s[3] and alone:
-                p1 = min(p1, supply - s[3])
-            if outlet and not inlet and alone:
-                p1 = max(p1, 0.0) if p >= 0.0 else min(p1, 0.0)
+            if inlet > 0.0 and outlet == 0.0 and p <= filled - s[3] and alone:
+                p1 = min(p1, filled - s[3])
+            if outlet > 0.0 and inlet == 0.0 and alone and p >= vented:
+                p1 = max(p1, vented)
+            elif outlet > 0.0 and inlet == 0.0 and alone and p < 0.0:
+                p1 = min(p1, 0.0)
         if q[stage.LINE] > 0.0:
             s[4] += (p - s[4]) * (1.0 - math.exp(-h / q[stage.LINE_TIME]))
         if q[stage.HEAT_RATE] > 0.0:
@@ -209,7 +219,7 @@ def _advance(
             if q[stage.HEAT_BY_MASS] > 0.0:
                 pace *= _HEAT_AT_PA / max(iso + at, _LEAST_SHARE * at)
             p1 += (iso - p1) * (1.0 - math.exp(-h * pace))
-        target = q[stage.DROOP] * share if inlet else 0.0
+        target = q[stage.DROOP] * share if inlet > 0.0 else 0.0
         droop_time = q[stage.DROOP_TIME]
         if target < s[3] and q[stage.DROOP_BACK] > 0.0:
             droop_time = q[stage.DROOP_BACK]
@@ -235,7 +245,8 @@ def _advance(
 @inlined
 def _trial(
     q: Any, time: Any, reading: Any, length: Any, supply: Any, edge_s: Any, edge_to: Any,
-    edge_of: Any, out: Any, fall: Any, due: Any, waiting: Any, opened: Any, command: Any, s: Any,
+    edge_of: Any, out: Any, fall: Any, due: Any, told: Any, waiting: Any, opened: Any, spool: Any,
+    command: Any, s: Any,
     step: Any, acting: Any, more: Any, mode: int,
 ) -> None:  # fmt: skip
     """Predict the reading at every node of one trial into `out`.
@@ -246,7 +257,8 @@ def _trial(
     does to the valves, as in `Push`.
     """
     waiting[:] = 0
-    opened[:] = False
+    opened[:] = 0.0
+    spool[:] = 0.0
     command[:] = 0.0
     s[:] = 0.0
     true = 0.0  # vented, where the gauge is at its lower end
@@ -258,6 +270,7 @@ def _trial(
     s[4] = s[0]
     s[5] = s[0]
     scale = REFERENCE_DENSITY_KG_M3 * math.sqrt(REFERENCE_TEMPERATURE_K / q[layout.GAS_TEMPERATURE])
+    lag = q[layout.SPOOL_LAG]
     edge = 0
     now = time[0]
     acts = now - 1.0
@@ -267,7 +280,8 @@ def _trial(
     # Commands from before the first reading have long acted.
     while edge < len(edge_s) and edge_s[edge] + q[stage.CLOCK] <= now - 0.05:
         command[edge_of[edge]] = edge_to[edge]
-        opened[edge_of[edge]] = edge_to[edge] > 0.5
+        opened[edge_of[edge]] = _opening(edge_to[edge], q[layout.DEAD_BAND + edge_of[edge]])
+        spool[edge_of[edge]] = opened[edge_of[edge]]
         edge += 1
     v_end = (
         _braid_volume(length[0], q[layout.BRAID_LENGTH], q[layout.TURNS]) + q[layout.DEAD_VOLUME]
@@ -284,7 +298,7 @@ def _trial(
         )
         slope = (v_end - v_begin) / (end - begin)
         feed = supply[i] + q[stage.SUPPLY_SHIFT]
-        busy = opened[0] or opened[1] or begin < acts
+        busy = opened[0] > 0.0 or opened[1] > 0.0 or begin < acts
         more_in = more[0, i] if mode == _PUSH else 0.0
         more_out = more[1, i] if mode == _PUSH else 0.0
         while now < end:
@@ -297,15 +311,29 @@ def _trial(
                 if waiting[w] > 0 and due[w, 0] < until:
                     until = max(now, due[w, 0])
                     what = w
-            if until > now:
+            while now < until:
+                to = until
+                inlet = opened[0]
+                outlet = opened[1]
+                if lag > 0.0 and (inlet != spool[0] or outlet != spool[1]):
+                    to = min(until, now + _SPOOL_STEP * lag)
+                    kept = math.exp(-(to - now) / lag)
+                    mean = (1.0 - kept) * lag / (to - now)
+                    for w in range(2):
+                        left = opened[w] - spool[w]
+                        opened[w] = spool[w]
+                        if abs(left * kept) > _ARRIVED:
+                            opened[w] += left * kept
+                    inlet = spool[0] + (inlet - spool[0]) * mean
+                    outlet = spool[1] + (outlet - spool[1]) * mean
+                    acts = to + ACTS_S
                 _advance(
-                    q, s, until - now, v_begin + slope * (now - begin),
-                    v_begin + slope * (until - begin), feed, opened[0], opened[1], scale,
-                    more_in, more_out,
+                    q, s, to - now, v_begin + slope * (now - begin),
+                    v_begin + slope * (to - begin), feed, inlet, outlet, scale, more_in, more_out,
                 )  # fmt: skip
                 if s[3] > fall[0]:
                     fall[0] = s[3]
-                now = until
+                now = to
             if what == 2:
                 w = edge_of[edge]
                 value = edge_to[edge]
@@ -313,11 +341,13 @@ def _trial(
                 busy = True
                 acts = now + ACTS_S
                 if value != command[w]:
+                    which = 2 * w + (0 if value > command[w] else 1)
                     command[w] = value
                     if q[layout.DELAY_MODE] == 0.0 and waiting[w] > 0:
                         waiting[w] = 0
-                    elif waiting[w] < _PENDING:
-                        which = 2 * w + (0 if value > 0.5 else 1)
+                    elif waiting[w] == _PENDING:
+                        told[w, _PENDING - 1] = value
+                    else:
                         upstream = feed if w == 0 else s[0]
                         delay = q[layout.DELAY + which] + q[layout.DELAY_SLOPE + which] * upstream
                         if mode == _PUSH:
@@ -326,14 +356,18 @@ def _trial(
                         if waiting[w] > 0:
                             at = max(at, due[w, waiting[w] - 1])
                         due[w, waiting[w]] = at
+                        told[w, waiting[w]] = value
                         waiting[w] += 1
             elif what >= 0:
-                opened[what] = not opened[what]
+                spool[what] = _opening(told[what, 0], q[layout.DEAD_BAND + what])
+                if lag == 0.0:
+                    opened[what] = spool[what]
                 busy = True
                 acts = now + ACTS_S
                 waiting[what] -= 1
                 for j in range(waiting[what]):
                     due[what, j] = due[what, j + 1]
+                    told[what, j] = told[what, j + 1]
         if mode == _PUSH and step[i] != 0.0:
             s[0] = max(s[0] + step[i], -0.95 * q[layout.ATMOSPHERE])
             s[1] = max(s[1] + step[i], -0.95 * q[layout.ATMOSPHERE])
@@ -383,8 +417,10 @@ def _build(sources: int) -> Callable[..., None]:
             return
         fall[0] = 0.0
         due = np.empty((2, _PENDING))
+        told = np.empty((2, _PENDING))
         waiting = np.zeros(2, dtype=np.int64)
-        opened = np.zeros(2, dtype=np.bool_)
+        opened = np.zeros(2)
+        spool = np.zeros(2)
         command = np.zeros(2)
         s = np.zeros(6)
         for t in range(len(first) - 1):
@@ -395,8 +431,8 @@ def _build(sources: int) -> Callable[..., None]:
             if b > a:
                 _trial(
                     q, time[a:b], reading[a:b], length[a:b], supply[a:b], edge_s[c:d],
-                    edge_to[c:d], edge_of[c:d], out[a:b], fall, due, waiting, opened, command, s,
-                    step[a:b], acting[a:b], more[:, a:b], mode,
+                    edge_to[c:d], edge_of[c:d], out[a:b], fall, due, told, waiting, opened, spool,
+                    command, s, step[a:b], acting[a:b], more[:, a:b], mode,
                 )  # fmt: skip
 
     return run

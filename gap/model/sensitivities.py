@@ -35,6 +35,11 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
     "outlet_on_ms_per_kpa": ("pressure",),
     "outlet_off_ms": ("pressure",),
     "outlet_off_ms_per_kpa": ("pressure",),
+    "inlet_closing_kpa": ("pressure",),
+    "outlet_closing_kpa": ("pressure",),
+    "inlet_dead_band": ("pressure",),
+    "outlet_dead_band": ("pressure",),
+    "valve_lag_ms": ("pressure",),
 }
 """Constants that are recalibrated within their tolerances, and the blocks they move."""
 

@@ -42,6 +42,8 @@ def _per_stroke_fit(
     None without a delay, or where its strokes would have to differ too much.
     Constants and amounts move as well: strokes that are late by more had bent them.
     """
+    if problem.data.constants.valve == "proportional":  # its strokes run into one another
+        return None
     columns, sds = [], []
     for candidate, amount in zip(fit.candidates, fit.amounts.tolist(), strict=True):
         effect = CATALOGUE.get(candidate.id)

@@ -57,7 +57,7 @@ def _run_until(
                 muscles[i, at.TIME] = end if last else due
         if last:
             return fine
-        act(muscles[which // 2], which % 2)
+        act(muscles[which // 2], params[which // 2], which % 2)
 
 
 @called

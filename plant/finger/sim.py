@@ -63,6 +63,7 @@ class FingerSim:
         if not step_max_s > 0.0:
             raise PlantError(f"step_max_s = {step_max_s!r}; expected more than 0")
         finger.check_lengths(constants)
+        constants.check_plain_valves("a finger")
         self.finger = finger.with_payload(payload_kg)
         self.constants = constants
         self.step_max_s = step_max_s
@@ -81,7 +82,7 @@ class FingerSim:
         rows = []
         for i in range(2 * n):
             row = build_state(constants, self._length(i))
-            row[layout.OUTLET_OPEN] = row[layout.OUTLET_COMMAND] = 0.0
+            row[layout.OUTLET_OPEN] = row[layout.OUTLET_COMMAND] = row[layout.SPOOL + 1] = 0.0
             row[layout.PRESSURE] = pressure[i] * 1e3
             rows.append(row)
         self.muscles = np.stack(rows)

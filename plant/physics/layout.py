@@ -16,9 +16,9 @@ LENGTH_RATE = 3  # m/s, positive when lengthening
 FORCE = 4  # N, tension of the muscle at TIME
 SUPPLY = 5  # gauge Pa upstream of the inlet
 REGULATOR_SET = 6  # gauge Pa
-INLET_OPEN = 7  # 0 or 1, the valve itself
+INLET_OPEN = 7  # 0 to 1, the valve itself, as a share of its full conductance
 OUTLET_OPEN = 8
-INLET_COMMAND = 9  # 0 or 1; inlet 1 = fill, outlet 1 = vent
+INLET_COMMAND = 9  # 0 to 1; inlet 1 = fill, outlet 1 = vent
 OUTLET_COMMAND = 10
 MASS_IN = 11  # kg passed by the inlet (or regulator) since the start
 MASS_OUT = 12  # kg passed by the outlet and leaks since the start
@@ -34,7 +34,9 @@ PRESSURE_READ = 27  # gauge Pa behind the transducer's lag; kept only while PRES
 TRIAL = 29  # trials that the muscle has behind it
 QUEUE = 32  # due times, s: QUEUE_LENGTH for the inlet, then as many for the outlet
 QUEUE_LENGTH = 256
-STATE_SIZE = QUEUE + 2 * QUEUE_LENGTH
+QUEUED = QUEUE + 2 * QUEUE_LENGTH  # commands that act at those times, 0 to 1, in the same order
+SPOOL = QUEUED + 2 * QUEUE_LENGTH  # (inlet, outlet) opening that the valve goes to, 0 to 1
+STATE_SIZE = SPOOL + 2
 
 # Parameters: what stays constant over a run, already with the effects that only change a constant.
 SOURCE = 0  # 0 supply through the inlet valve, 1 regulator behind the inlet valve
@@ -66,11 +68,14 @@ EFFECTS = 31  # from here on numbered in the files of the effects but for the ne
 FORCE_EFFECTS = 37  # 1 when an effect changes the force of the muscle
 REMEMBERS = 53  # 1 when an effect must be followed in time
 PRESSURE_LAG = 59  # s, of the transducer
-PARAMS_SIZE = 96  # the rest is kept at zero for what is still to come; free: 64 onwards
+DEAD_BAND = 64  # (inlet, outlet) share of the command up to which the valve is shut
+CLOSING = 66  # Pa; (inlet, outlet) difference of pressures below which the valve falls shut
+SPOOL_LAG = 68  # s, of the opening; 0 without one
+PARAMS_SIZE = 96  # the rest is kept at zero for what is still to come; free: 69 onwards
 
 # Inputs that a recording may hold, as numbered in the compiled batch runner.
-CHANNEL_INLET = 0  # 0 or 1
-CHANNEL_OUTLET = 1  # 0 or 1
+CHANNEL_INLET = 0  # 0 to 1
+CHANNEL_OUTLET = 1  # 0 to 1
 CHANNEL_LENGTH_RATE = 2  # m/s
 CHANNEL_REGULATOR = 3  # gauge Pa
 CHANNEL_SUPPLY = 4  # gauge Pa
@@ -94,7 +99,8 @@ def nominal_slots(c: PlantConstants) -> dict[int, float]:
         STOP_STIFFNESS: c.stop_stiffness_n_m,
         STOP_DAMPING: c.stop_damping_n_s_m,
         LOAD_DAMPING: c.load_damping_n_s_m,
-        DELAY_MODE: 1.0 if c.delay_mode == "transport" else 0.0,
+        # What a proportional valve is told it does in the end, however short.
+        DELAY_MODE: float(c.delay_mode == "transport" or c.valve == "proportional"),
         DELAY: c.inlet_on_s,
         DELAY + 1: c.inlet_off_s,
         DELAY + 2: c.outlet_on_s,
@@ -103,4 +109,9 @@ def nominal_slots(c: PlantConstants) -> dict[int, float]:
         DELAY_SLOPE + 1: c.inlet_off_s_per_pa,
         DELAY_SLOPE + 2: c.outlet_on_s_per_pa,
         DELAY_SLOPE + 3: c.outlet_off_s_per_pa,
+        DEAD_BAND: max(c.inlet_dead_band, 0.0),
+        DEAD_BAND + 1: max(c.outlet_dead_band, 0.0),
+        CLOSING: max(c.inlet_closing_pa, 0.0),
+        CLOSING + 1: max(c.outlet_closing_pa, 0.0),
+        SPOOL_LAG: max(c.valve_lag_s, 0.0),
     }

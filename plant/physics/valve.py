@@ -1,4 +1,4 @@
-"""The two solenoids of a valve block: what a command has to overcome before the valve moves.
+"""The two valves of a block: what a command has to overcome before they move, and how far they do.
 
 The kernel steps the valves; this module says the same in closed form, for planning pulses and for
 checking. Delays (docs/reference/plant.md): on_ms + on_ms_per_kpa P, with P the gauge pressure
@@ -39,6 +39,14 @@ def open_time_s(solenoid: Solenoid, pulse_s: float, upstream_pa: float, c: Plant
     if c.delay_mode == "inertial" and pulse_s <= on_s:
         return 0.0
     return max(0.0, pulse_s + off_s - on_s)
+
+
+def opening(command: float, dead_band: float) -> float:
+    """Share of its conductance to which a valve opens at a command of 0 to 1.
+
+    Shut within the dead band, in proportion beyond it. Also compiled into the kernels.
+    """
+    return max(command - dead_band, 0.0) / (1.0 - dead_band)
 
 
 def pull_in_v(solenoid: Solenoid, upstream_pa: float, c: PlantConstants) -> float:

@@ -120,7 +120,7 @@ def _run_until(w: World, end: float) -> None:
                 w.units[k, at.TIME] = until
         if not acts:
             break
-        act(w.units[unit], solenoid)
+        act(w.units[unit], w.params[unit], solenoid)
         opened = w.units[unit, at.INLET_OPEN + solenoid]
         log(w, due, float(sc.LOG_INLET + solenoid), float(unit), opened)
 

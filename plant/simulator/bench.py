@@ -116,7 +116,7 @@ def build_state(
     state[layout.TEMPERATURE] = temperature_c + 273.15
     state[layout.TRIAL] = trials
     if constants.outlet_normally == "open":
-        state[OUTLET_OPEN] = state[OUTLET_COMMAND] = 1.0
+        state[OUTLET_OPEN] = state[OUTLET_COMMAND] = state[layout.SPOOL + 1] = 1.0
     return state
 
 

@@ -88,6 +88,10 @@ def chamber(params: Slots, length: float) -> float:
     return _volume(length, params[at.BRAID_LENGTH], params[at.TURNS]) + params[at.DEAD_VOLUME]
 
 
+_FALLS_SHUT = 1.0001
+"""Ratio to the pressure at which a valve falls shut from which on it has: no step ends on it."""
+
+
 @inlined
 def power(volume: float, exponent: float) -> float:
     """V^k, cheap when isothermal."""
@@ -118,9 +122,22 @@ def sealed(state: Slots, params: Slots) -> bool:
 
 
 @inlined
+def passing(state: Slots, params: Slots, which: int) -> float:
+    """Opening of the inlet (0) or the outlet (1); 0 where too little pressure holds it open."""
+    closing = params[at.CLOSING + which]
+    if closing > 0.0:
+        across = state[at.PRESSURE]
+        if which == 0:
+            across = state[at.SUPPLY] - across
+        if across <= closing * _FALLS_SHUT:
+            return 0.0
+    return state[at.INLET_OPEN + which]
+
+
+@inlined
 def outward(state: Slots, params: Slots) -> float:
     """Conductance of every way from the muscle to the atmosphere, without a valve that is shut."""
-    return float(hooks.outward(params[at.OUTLET_CONDUCTANCE] * state[at.OUTLET_OPEN], params))
+    return float(hooks.outward(params[at.OUTLET_CONDUCTANCE] * passing(state, params, 1), params))
 
 
 @inlined
@@ -140,10 +157,11 @@ def flows(state: Slots, params: Slots, absolute: float) -> tuple[float, float]:
     )
     flow_in = 0.0
     flow_out = 0.0
-    if state[at.INLET_OPEN] > 0.0:
+    inlet = passing(state, params, 0)
+    if inlet > 0.0:
         supply = inlet_pressure(state, params, absolute)
         psi = _factor(absolute / supply, params[at.INLET_CRITICAL_RATIO])
-        flow_in = scale * params[at.INLET_CONDUCTANCE] * supply * psi
+        flow_in = scale * inlet * params[at.INLET_CONDUCTANCE] * supply * psi
     conductance = outward(state, params)
     if conductance > 0.0:
         flow_out = (
@@ -166,10 +184,11 @@ def fastest_gas(state: Slots, params: Slots, absolute: float, volume: float) -> 
     change = heat * abs(flow_in - flow_out)
     slope = 0.0
     leaving = 0.0
-    if state[at.INLET_OPEN] > 0.0:
+    inlet = passing(state, params, 0)
+    if inlet > 0.0:
         supply = inlet_pressure(state, params, absolute)
         critical = params[at.INLET_CRITICAL_RATIO]
-        slope += params[at.INLET_CONDUCTANCE] * _factor_slope(absolute / supply, critical)
+        slope += inlet * params[at.INLET_CONDUCTANCE] * _factor_slope(absolute / supply, critical)
         leaving = change / (abs(supply - absolute) + flow.LINEAR_BELOW * supply)
     conductance = outward(state, params)
     if conductance > 0.0:
@@ -179,6 +198,23 @@ def fastest_gas(state: Slots, params: Slots, absolute: float, volume: float) -> 
         gap = abs(absolute - atmosphere) + flow.LINEAR_BELOW * atmosphere
         leaving = max(leaving, change / gap)
     return max(slope * REFERENCE_DENSITY_KG_M3 * heat, 0.5 * leaving)
+
+
+@inlined
+def until_shut(state: Slots, params: Slots, absolute: float, volume: float) -> float:
+    """Time in s after which a valve falls shut, as the gas flows now; 1 or more where none does."""
+    soonest = 1.0
+    heat = params[at.EXPONENT] * GAS_CONSTANT_J_KG_K * params[at.GAS_TEMPERATURE] / volume
+    for which in range(2):
+        closing = params[at.CLOSING + which]
+        if closing > 0.0 and passing(state, params, which) > 0.0:
+            flow_in, flow_out = flows(state, params, absolute)
+            change = heat * abs(flow_in - flow_out)
+            across = state[at.PRESSURE]
+            if which == 0:
+                across = state[at.SUPPLY] - across
+            soonest = min(soonest, (across - closing) / max(change, 1.0))
+    return soonest
 
 
 @inlined

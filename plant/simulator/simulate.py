@@ -37,8 +37,8 @@ _CHANNELS: dict[str, tuple[int, float]] = {
 class Commands:
     """Timed inputs: at `time_s[i]` input `channel[i]` takes `value[i]`; times never fall.
 
-    Channels "inlet" and "outlet" are valve commands (1 fill or vent, 0 not); the others are in
-    the units of their names.
+    Channels "inlet" and "outlet" are valve commands (1 fill or vent, 0 not; for a proportional
+    valve anything between); the others are in the units of their names.
     """
 
     time_s: Array
@@ -125,7 +125,7 @@ def run_commands(  # noqa: PLR0913 - a recording has that many named conditions
     Raises `PlantError` for inputs out of order, before 0, not finite or on an unknown channel, and
     for a length, mass or pressure outside the plant's domain.
     """
-    channel, value = _checked(inputs)
+    channel, value = _checked(inputs, constants.valve == "proportional")
     if not (duration_s > 0.0 and rate_hz > 0.0 and duration_s * rate_hz <= 1e8):
         raise PlantError(
             f"duration_s = {duration_s!r} at rate_hz = {rate_hz!r}: both must be positive, "
@@ -164,7 +164,7 @@ def held_offset_mm(effects: Effects) -> float:
     return sum(hook(amount) for hook, amount in hooks if hook is not None)
 
 
-def _checked(inputs: Commands) -> tuple[npt.NDArray[np.int64], Array]:
+def _checked(inputs: Commands, proportional: bool) -> tuple[npt.NDArray[np.int64], Array]:
     unknown = sorted(set(inputs.channel) - set(_CHANNELS))
     if unknown:
         raise PlantError(f"commands: unknown channel {unknown[0]!r}; known: {', '.join(_CHANNELS)}")
@@ -184,10 +184,12 @@ def _checked(inputs: Commands) -> tuple[npt.NDArray[np.int64], Array]:
             "(or before 0); sort the rows by time"
         )
     for row, name in enumerate(inputs.channel):
-        if name in ("inlet", "outlet") and inputs.value[row] not in (0.0, 1.0):
-            raise PlantError(
-                f"commands: row {row} sets {name} to {inputs.value[row]:g}; allowed 0 or 1"
-            )
+        value = float(inputs.value[row])
+        if name not in ("inlet", "outlet") or value in (0.0, 1.0):
+            continue
+        if not proportional or not 0.0 <= value <= 1.0:
+            allowed = "0 to 1" if proportional else '0 or 1, with valve = "proportional" 0 to 1'
+            raise PlantError(f"commands: row {row} sets {name} to {value:g}; allowed {allowed}")
     scale = np.array([_CHANNELS[name][1] for name in inputs.channel], dtype=np.float64)
     number = np.array([_CHANNELS[name][0] for name in inputs.channel], dtype=np.int64)
     return number, inputs.value * scale

@@ -25,11 +25,13 @@ from plant.simulator.rates import (
     lagged,
     lasting,
     outward,
+    passing,
     power,
     regulated,
     sealed,
     stop_push,
     tension,
+    until_shut,
 )
 
 # Absolute pressures within this ratio are equal: 0.6 mPa, where rounding would stall the approach.
@@ -39,6 +41,8 @@ _TRAVEL_LOW = 0.1
 _TRAVEL_HIGH = 0.99
 # What remembers takes its inputs as straight lines over at most this time, s.
 _MEMORY_STEP_S = 1e-3
+# A valve that is about to fall shut is followed in steps of this time, s.
+_SHUTS_S = 2e-5
 # A load so near to a stop is on it.
 _ON_STOP_M = 1e-11
 _STAGE = np.array([0.0, 0.5, 0.5, 1.0])
@@ -76,6 +80,8 @@ def _substep(state: Slots, params: Slots, touched: int) -> float:
     volume = chamber(params, state[at.LENGTH])
     if not (sealed(state, params) or regulated(state, params)):
         step = min(step, safety / max(fastest_gas(state, params, absolute, volume), 1e-3))
+        if params[at.CLOSING] > 0.0 or params[at.CLOSING + 1] > 0.0:
+            step = min(step, max(until_shut(state, params, absolute, volume), _SHUTS_S))
     if params[at.LOAD] == 1.0:
         fastest = fastest_load(state, params, absolute, volume, touched != 0)
         step = min(step, 0.5 * safety / max(fastest, 1e-3))
@@ -89,7 +95,7 @@ def _at_rest(state: Slots, params: Slots) -> bool:
         return False
     atmosphere = params[at.ATMOSPHERE]
     absolute = state[at.PRESSURE] + atmosphere
-    if state[at.INLET_OPEN] > 0.0 and absolute * _EQUAL < state[at.SUPPLY] + atmosphere:
+    if passing(state, params, 0) > 0.0 and absolute * _EQUAL < state[at.SUPPLY] + atmosphere:
         return False
     if outward(state, params) == 0.0:
         return True
