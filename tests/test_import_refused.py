@@ -39,6 +39,8 @@ MAPPINGS = {
     "a channel twice": (P, P + '[channels.force_n]\ncolumn = "p"\n', "cannot be read as TOML"),
     "an unknown table": ("[time]", "[tiem]", "tiem: unknown key (did you mean time?)"),
     "an unknown key": (F, F + 'units = "N"\n', "channels.force_n.units: unknown key (did you mean"),
+    "a table misspelt": ("[source]", "[sorce]", "source: is missing (is sorce that key?)"),
+    "a needed key misspelt": ('unit = "N"', 'unti = "N"', "is missing (is unti that key?)"),
     "an unknown channel": ("channels.force_n", "channels.force_kn", "channels.force_kn: unknown"),
     "no source": ('[source]\nfiles = "a.csv"', "", "source: is missing"),
     "no channel": (GOOD[GOOD.index("[channels.force"):], "[channels]\n", "no measured channel"),

@@ -19,6 +19,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from gap.data.dataset import CALIBRATION, DataSet
+from gap.data.plausible import remarks
 from gap.data.tables import Table, numbers, read_table, unit_check
 from gap.data.trial import CHANNELS, COMMANDS, Channel, Trial
 from gap.errors import GapError
@@ -63,8 +64,9 @@ def read_dataset(folder: str | Path) -> DataSet:
     samples = _samples_table(path)
     made = _join(path, trials, samples, constants, effects)
     return replace(
-        made, calibration=_calibration(path / "calibration.toml"), corrections=corrections
-    )
+        made, calibration=_calibration(path / "calibration.toml"), corrections=corrections,
+        notes=(*made.notes, *remarks(made)),
+    )  # fmt: skip
 
 
 def read_bench(path: Path) -> tuple[PlantConstants, Effects]:

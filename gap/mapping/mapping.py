@@ -302,7 +302,7 @@ def _join(root: Section, time: TimeBase, channels: tuple[Measured, ...]) -> Join
 def _required(root: Section, key: str) -> Section:
     found = root.table(key)
     if found is None:
-        raise root.error(key, "is missing", f"a table [{key}]")
+        raise root.missing(key, f"a table [{key}]")
     return found
 
 

@@ -39,11 +39,16 @@ class Section:
         """An error that names file and key."""
         return GapError(self.where(key), what, remedy)
 
+    def missing(self, key: str, expected: str = "") -> GapError:
+        """An error for a key that is not there, with the key that may be it misspelt."""
+        near = difflib.get_close_matches(key, [k for k in self._table if k not in self._asked], n=1)
+        return self.error(key, "is missing", f"is {near[0]} that key?" if near else expected)
+
     def value(self, key: str, required: bool = False) -> Any:
         """The value as it stands there; None where it is absent. Raises `GapError`."""
         if key not in self:
             if required:
-                raise self.error(key, "is missing")
+                raise self.missing(key)
             return None
         return self._table[key]
 
@@ -78,7 +83,7 @@ class Section:
         """A number above zero."""
         value = self.number(key)
         if value is None and required:
-            raise self.error(key, "is missing")
+            raise self.missing(key)
         if value is not None and value <= 0.0:
             raise self.error(key, f"expected a number above 0, got {value:g}")
         return value
