@@ -93,6 +93,9 @@ class Cause(StrEnum):
     FORM_LEAVES = "{names} explains {percent:.0f} % of the gap; its form leaves a pattern"
     FORM_UNCERTAIN = "{names}; held out, the closed fraction is not certain to exceed one half"
     EXPLAINED = "{names} explains the gap"
+    BY_TRIAL = (
+        "{names} differs between replicates: more in {count} of {trials} trials than in others"
+    )
 
 
 PARTS = (Cause.PARTLY, Cause.PARTLY_SEVERAL)

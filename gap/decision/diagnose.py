@@ -14,6 +14,7 @@ import numpy as np
 from daq.progress import stage
 from gap.data.dataset import DataSet
 from gap.data.quality import Unfit, unfit_channels
+from gap.decision.by_trial import with_effects_by_trial
 from gap.decision.classify import classify
 from gap.decision.config import DECISION
 from gap.effects.candidates import CANDIDATES, Candidate
@@ -99,7 +100,7 @@ def verdict_by_catalogue(
         left = doubts_left(problem, found.best.fit, found.gap, found.left)
         if left or not has_sure_effect(verdict):
             return _unfit_plant(data, left or doubtful), None, None
-    return verdict, problem, search
+    return with_effects_by_trial(verdict, problem), problem, search
 
 
 _MADE_UP_SD = 3.0

@@ -12,6 +12,9 @@ from plant.effects.effect import InDiagnosis, InSensors
 Active = list[tuple[str, str, float, Shape]]
 """Effects in force: id, option (side or edge), amount of the headline parameter, shape."""
 
+OF_TRIAL = "trial"
+"""Number of a shape: the trial in which alone an effect acts."""
+
 NOMINAL = "nominal"
 """A number of the nominal plant itself, moved by so many sd: `shape["number"]` says which."""
 
@@ -34,7 +37,7 @@ class Term:
 
 
 _IN_PRESSURE = ("length", "camera", "gas", "pressure_shown", "pressure_linearity")
-_ONLY_THERE = ("gas", "pressure_shown", "late", "largest_fall")
+_ONLY_THERE = ("gas", "gas_in_trial", "pressure_shown", "late", "largest_fall")
 
 
 def _in_pressure(diagnosis: InDiagnosis) -> bool:

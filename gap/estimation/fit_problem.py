@@ -16,7 +16,8 @@ import numpy.typing as npt
 from gap.data.dataset import DataSet
 from gap.data.quality import without_duplicates
 from gap.effects.candidates import CANDIDATES, Candidate, single_labels
-from gap.effects.terms import Active
+from gap.effects.terms import OF_TRIAL, Active
+from gap.estimation.by_trial import effects_by_trial
 from gap.estimation.information import Evidence, covariance, damped_step, gather, tolerance
 from gap.estimation.noise import Noise, learn_noise, usual_noise
 from gap.estimation.non_identical import non_identical, unexplainable
@@ -90,6 +91,7 @@ class ProblemState:
 
     Attributes:
         around: parameters at which the data set's simulator was run; None without one.
+        by_trial: see `FitProblem.by_trial`.
     """
 
     names: tuple[str, ...]
@@ -99,6 +101,7 @@ class ProblemState:
     base: FitResult
     noise: Noise
     around: Array | None
+    by_trial: Active = field(default_factory=list)
 
     def check(self) -> None:
         """Raise `ValueError` where its parts do not belong together."""
@@ -166,6 +169,7 @@ class FitProblem:
             data, usable, model, stated, noise, tuple(names), mountings, columns, residual, columns,
             nothing,
         )._recalibrated(start)  # fmt: skip
+        problem = problem._with_effects_by_trial()
         left = problem.base.residual
         if non_identical(data):
             # What the stated plant misses differs between such replicates: it is no noise.
@@ -173,6 +177,28 @@ class FitProblem:
             left = unexplainable(others, left, usual_noise(model, data.constants, left))
         noise = learn_noise(model, problem.constants(problem.base.shift), left)
         return replace(problem, noise=noise)._recalibrated(problem.base.shift)
+
+    def _with_effects_by_trial(self) -> FitProblem:
+        """The problem with what replicates differ by taken for stated; itself without any.
+
+        Refitted from the stated constants, for what one trial had may have bent them.
+        """
+        problem, slots = self, list(self.data.slots.values())
+        for _ in range(2):
+            c = problem.constants(problem.base.shift)
+            shared = [one for one in problem.stated_effects if OF_TRIAL not in one[3]]
+            plain = replace(problem, stated_effects=shared)
+            active = plain.active_effects(problem.base.shift, (), np.empty(0))
+            found = effects_by_trial(problem.model, c, active, problem.candidates, slots)
+            if not found:
+                return plain if problem.by_trial else problem
+            stated = [*shared, *found]
+            residual = _stacked_residual(problem.model, problem.data.constants, stated)
+            noise = learn_noise(problem.model, problem.data.constants, residual)
+            problem = replace(
+                problem, stated_effects=stated, stated_residual=residual, noise=noise, _kept={}
+            )._recalibrated(np.zeros(len(problem.names)))
+        return problem
 
     @classmethod
     def restored(
@@ -182,7 +208,7 @@ class FitProblem:
         data = without_duplicates(data)
         return cls(
             data, _usable(data, candidates), Model(make_grid(data), state.around),
-            _stated_effects(data), state.noise, state.names,
+            [*_stated_effects(data), *state.by_trial], state.noise, state.names,
             int(data.mountings.max(initial=-1)) + 1, state.stated_columns, state.stated_residual,
             state.columns, state.base,
         )  # fmt: skip
@@ -192,7 +218,7 @@ class FitProblem:
         nominal = self.model.nominal
         return ProblemState(
             self.names, self.stated_columns, self.stated_residual, self.columns, self.base,
-            self.noise, None if nominal is None else nominal.around,
+            self.noise, None if nominal is None else nominal.around, self.by_trial,
         )  # fmt: skip
 
     def _recalibrated(self, shift: Array) -> FitProblem:
@@ -270,7 +296,13 @@ class FitProblem:
 
     def on_model(self, data: DataSet, model: Model, noise: Noise) -> FitProblem:
         """The same plant and fits on other trials, with their model and noise."""
-        return replace(self, data=data, model=model, noise=noise, _kept={})
+        stated = [one for one in self.stated_effects if OF_TRIAL not in one[3]]
+        return replace(self, data=data, model=model, noise=noise, stated_effects=stated, _kept={})
+
+    @property
+    def by_trial(self) -> Active:
+        """What trials have more of an effect than their replicates, each with its trial."""
+        return [one for one in self.stated_effects if OF_TRIAL in one[3]]
 
     @property
     def grid(self) -> Grid:

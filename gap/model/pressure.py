@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from gap.effects.terms import Active, terms
+from gap.effects.terms import OF_TRIAL, Active, terms
 from gap.model.threads import cores, each
 from plant.arrays import Array
 from plant.compiled import called, entry_point, fingerprint, inlined
@@ -56,18 +56,26 @@ ACTS_S = 0.03
 """Seconds after a command's edge in which a valve may still move."""
 
 
-def parameters(c: PlantConstants, active: Active, stated_supply_pa: float) -> Array:
+def parameters(
+    c: PlantConstants, active: Active, stated_supply_pa: float, trials: int = 0
+) -> Array:
     """Parameter array of the stage, by the slots of `plant.effects.pressure_stage`.
 
-    `stated_supply_pa` is the supply of the constants that the data set states.
+    Args:
+        stated_supply_pa: supply of the constants that the data set states.
+        trials: number of trials; needed where an effect acts in one alone.
     """
-    q = np.zeros(stage.SIZE)
+    own = any(OF_TRIAL in shape for _, _, _, shape in active)
+    q = np.zeros(stage.SIZE + (trials if own else 0))
     for slot, value in nominal_slots(c).items():
         q[slot] = value
     q[stage.SUPPLY_SHIFT] = c.supply_pa - stated_supply_pa
     q[stage.FOLLOW] = FOLLOW_S
     for term in terms(active):
-        if term.diagnosis.gas is not None:
+        if OF_TRIAL in term.shape:
+            if term.diagnosis.gas_in_trial is not None:
+                term.diagnosis.gas_in_trial(q, term.amount, int(term.shape[OF_TRIAL]))
+        elif term.diagnosis.gas is not None:
             term.diagnosis.gas(q, term.amount, term.option, term.shape)
     for side in (layout.INLET_CRITICAL_RATIO, layout.OUTLET_CRITICAL_RATIO):
         q[side] = min(max(q[side], 0.0), _MOST_RATIO)
@@ -423,7 +431,10 @@ def _build(sources: int) -> Callable[..., None]:
         spool = np.zeros(2)
         command = np.zeros(2)
         s = np.zeros(6)
+        leak = q[stage.LEAK]
         for t in range(len(first) - 1):
+            if len(q) > stage.SIZE:
+                q[stage.LEAK] = leak + q[stage.LEAK_OF_TRIAL + t]
             a = first[t]
             b = first[t + 1]
             c = first_edge[t]
@@ -434,6 +445,7 @@ def _build(sources: int) -> Callable[..., None]:
                     edge_to[c:d], edge_of[c:d], out[a:b], fall, due, told, waiting, opened, spool,
                     command, s, step[a:b], acting[a:b], more[:, a:b], mode,
                 )  # fmt: skip
+        q[stage.LEAK] = leak
 
     return run
 
@@ -476,12 +488,20 @@ def predict(*arrays: Any, push: Push | None = None) -> None:
     def run(trials: slice) -> float:
         largest = np.zeros(1)
         _run(
-            q, first[trials], *nodes, first_edge[trials], edge_s, edge_to, edge_of, out, largest,
-            step, _NONE, more, mode,
+            _of_trials(q, trials), first[trials], *nodes, first_edge[trials], edge_s, edge_to,
+            edge_of, out, largest, step, _NONE, more, mode,
         )  # fmt: skip
         return float(largest[0])
 
     fall[0] = max(each(run, _parts(first)))
+
+
+def _of_trials(q: Any, trials: slice) -> Any:
+    """Parameters for some trials alone; a copy where trials have some of their own."""
+    if len(q) == stage.SIZE:
+        return q
+    own = q[stage.LEAK_OF_TRIAL :][trials.start : trials.stop - 1]
+    return np.concatenate([q[: stage.SIZE], own])
 
 
 def _parts(first: Any) -> list[slice]:
@@ -501,8 +521,18 @@ def replay(*arrays: Any, learn: bool) -> None:
     a valve may have been open since the node before; without it `step` is applied as it stands.
     `out` gets the pressures as the gauge would read them.
     """
-    *common, step, acting = arrays
-    _run(*common, np.zeros(1), step, acting, _NO_MORE, _LEARN if learn else _APPLY)
+    q, first, *common, step, acting = arrays
+    everything = slice(0, len(first))
+    _run(
+        _of_trials(q, everything),
+        first,
+        *common,
+        np.zeros(1),
+        step,
+        acting,
+        _NO_MORE,
+        _LEARN if learn else _APPLY,
+    )
 
 
 def perturbed(plain: Any, changed: Any, path: Any, *arrays: Any) -> Any:
@@ -519,8 +549,8 @@ def perturbed(plain: Any, changed: Any, path: Any, *arrays: Any) -> Any:
     def run(trials: slice) -> None:
         for (q, length), learn in ((plain, True), (changed, False)):
             replay(
-                q, first[trials], time, path, length, supply, first_edge[trials], edge_s, edge_to,
-                edge_of, out, step, acting, learn=learn,
+                _of_trials(q, trials), first[trials], time, path, length, supply,
+                first_edge[trials], edge_s, edge_to, edge_of, out, step, acting, learn=learn,
             )  # fmt: skip
 
     each(run, _parts(first))

@@ -353,7 +353,8 @@ class Model:
         return laws.gauge_shows(out, active, context), float(fall[0])
 
     def _parameters(self, c: PlantConstants, active: Active) -> Array:
-        return chamber.parameters(c, active, self.grid.data.constants.supply_pa)
+        data = self.grid.data
+        return chamber.parameters(c, active, data.constants.supply_pa, len(data.trials))
 
 
 _HOLDS_NOTHING = 0.05

@@ -46,6 +46,8 @@ def headline(verdict: Verdict) -> str:
     values = ", ".join(parameter_text(name, e) for name, e in best.parameters.items())
     closed = _closed(verdict)
     match verdict.status:
+        case "named" if verdict.reason.cause is Cause.BY_TRIAL:
+            return sentence(str(verdict.reason))
         case "named":
             return sentence(f"It is {what}{_in_brackets(values)}{closed}")
         case "named_form_inadequate" if verdict.reason.cause is Cause.PARTLY_OPEN:

@@ -152,6 +152,8 @@ class InDiagnosis:
         drag_range: (points, shape) -> the least and the most that it may be: a load that sticks is
             held by what it takes. It counts where the force above the load is read. None: `drag`.
         gas: (params, amount, option, shape) writes slots of `plant.effects.pressure_stage`.
+        gas_in_trial: (params, amount, trial) adds to what one trial alone has of it; for effects
+            that may differ between replicates.
         late: (amount, constants) -> s by which each stroke of the effect's edge is late.
         largest_fall: whether the headline parameter is the largest fall of the supply in the
             data, which the prediction gives, and not the amount.
@@ -174,6 +176,7 @@ class InDiagnosis:
     drag: Callable[[Points, Shape], Array] | None = None
     drag_range: Callable[[Points, Shape], tuple[Array, Array] | None] | None = None
     gas: Callable[[Params, float, str, Shape], None] | None = None
+    gas_in_trial: Callable[[Params, float, int], None] | None = None
     late: Callable[[float, PlantConstants], float] | None = None
     largest_fall: bool = False
 

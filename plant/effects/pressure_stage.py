@@ -29,3 +29,4 @@ OUTLET_DROP = PARAMS_SIZE + 16
 SUPPLY_SHIFT = PARAMS_SIZE + 17  # Pa
 HEAT_BY_MASS = PARAMS_SIZE + 18  # 1 where the heat that the gas holds counts
 SIZE = PARAMS_SIZE + 20
+LEAK_OF_TRIAL = SIZE  # m3/(s Pa) beside LEAK, one for each trial, where trials differ in it

@@ -23,6 +23,10 @@ def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
     params[stage.LEAK_LAMINAR if "laminar" in shape else stage.LEAK] += amount
 
 
+def _gas_in_trial(params: Params, amount: float, trial: int) -> None:
+    params[stage.LEAK_OF_TRIAL + trial] += amount
+
+
 LEAK = Effect(
     "leak",
     "flow",
@@ -37,6 +41,6 @@ LEAK = Effect(
     standard="none needed: the sealed muscle watched for minutes",
     reference=(LOCKED, 2e-13),
     plant=InPlant(slots=_slots, outward=_outward),
-    diagnosis=InDiagnosis(gas=_gas),
+    diagnosis=InDiagnosis(gas=_gas, gas_in_trial=_gas_in_trial),
     search=Search(step=1e-12, sign=1, blocks=("pressure",), shapes=({}, {"laminar": 1.0})),
 )
