@@ -73,6 +73,7 @@ class Cause(StrEnum):
         "open, {share:.0f} % of the gap is explained"
     )
     SURE_BESIDE = "{sure} in any case; {rest}"
+    LIKELY_BESIDE = "{sure} ({percent:.0f} % or more), whatever else acts; {rest}"
     UNDETERMINED = (
         "a gap that {names} would fit, but with an amount that these data leave open over its "
         "whole range or that stands at the end of it"

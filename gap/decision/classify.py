@@ -34,6 +34,7 @@ from plant.constants import KEYS
 from plant.effects.catalogue import CATALOGUE
 
 NAMED = (Status.NAMED, Status.NAMED_FORM_INADEQUATE)
+ALIKE = (Status.INDISTINGUISHABLE, Status.MIMICABLE)
 
 
 @dataclass(frozen=True)
@@ -361,6 +362,7 @@ def _by_presence(
             none = replace(finding, status=Status.INDISTINGUISHABLE, reason=why)
             return _partly(case, finding, kept, odds) or (case, none)
         return case, replace(finding, sure=ids)
+    found = finding
     if finding.status is Status.INDISTINGUISHABLE and not single:
         if len(finding.entries) == 1 and set(sure) > set(case.search.best.fit.ids):
             # What was not reliable is not the whole: with further effects all are sure.
@@ -369,8 +371,27 @@ def _by_presence(
         if agreed:
             names = " and ".join(agreed)
             why = reason(Cause.SURE_BESIDE, sure=names, rest=str(finding.reason))
-            return case, replace(finding, sure=tuple(agreed), reason=why)
-    return case, finding
+            found = replace(finding, sure=tuple(agreed), reason=why)
+    if found.status in ALIKE and len(odds) >= config.many:
+        by_itself = _surely_there(ids_there, odds, config.present_in_several, config)
+        found = _named_beside(found, by_itself, odds)
+    return case, found
+
+
+def _named_beside(finding: _Finding, sure: tuple[str, ...], odds: Mapping[str, float]) -> _Finding:
+    """The finding with effects that are there by themselves, although others fit the whole as well.
+
+    The entries of the set were fitted without further effects: that one of them does without an
+    effect of several says less than what the effect does beside all others.
+    """
+    more = [name for name in sure if name not in finding.sure]
+    if not more:
+        return finding
+    named = (*finding.sure, *more)
+    least = 100 * min(odds[name] for name in named)
+    rest = finding.reason.values.get("rest", str(finding.reason))
+    why = reason(Cause.LIKELY_BESIDE, sure=" and ".join(named), percent=least, rest=rest)
+    return replace(finding, sure=named, reason=why)
 
 
 def _with_calibration(case: _Case, finding: _Finding) -> _Finding:

@@ -76,6 +76,12 @@ class DecisionConfig:
     effects found at once. Set on: sets 956 to 1023 of the stream `several` (179 of 265 named
     instead of 161, 6 wrong instead of 5) and pairs 52000 to 52479 of the held-out forms (21 sets
     with a wrong name instead of 20; beside one sure effect it would be 29)."""
+    many: int = 3
+    """Effects of an explanation, further ones included, from which on those that are there by
+    themselves are named although others fit the whole as well. More effects found at once. Set on:
+    sets 1133 to 1152 and 1175 to 1199 of the stream `several`, where 6 of 7 such effects were
+    there, and pairs 52880 to 53089 of the held-out forms: 2 of 2 were there, and with two effects
+    3 of 5."""
     doubtful_unknown: float = 0.3
     """Probability of an effect outside the catalogue from which the effects of an explanation of
     several are named as those of a refused one, also where others fit as well. Fewer wrong names.
