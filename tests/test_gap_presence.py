@@ -123,6 +123,23 @@ def test_the_likelier_something_outside_the_catalogue_the_surer_an_effect_must_b
     assert found.status is (Status.NAMED if named else Status.INDISTINGUISHABLE)
 
 
+@pytest.mark.parametrize("status", [Status.INDISTINGUISHABLE, Status.MIMICABLE])
+def test_one_of_several_that_is_there_by_itself_is_named_although_others_fit_the_whole(
+    two: _Case, status: Status
+) -> None:
+    """Sets 1137, 1149, 1177 and 1192: of seven such effects above 0.8, six were there."""
+    rival = only_effects(two.problem, two.search, ("leak",)).best
+    alike = replace(refused(two), status=status, entries=[(rival, 0.4)])
+    odds = {"bladder_elasticity": 0.85, "leak": 0.6}
+    few = _by_presence(two, alike, two.search, odds)[1]
+    assert few.sure == ()
+    many = _by_presence(two, alike, two.search, {**odds, "creep": 0.3})[1]
+    assert (many.status, many.sure) == (status, ("bladder_elasticity",))
+    told = str(many.reason)
+    assert told.startswith("bladder_elasticity (85 % or more), whatever else acts; ")
+    assert told.endswith(str(alike.reason))
+
+
 @pytest.mark.parametrize(
     ("others", "usual", "least"),
     [((0.95, 0.92), 0.8, 0.75), ((0.95, 0.92), 0.94, 0.75), ((0.95, 0.85), 0.8, 0.8)],
