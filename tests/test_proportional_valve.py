@@ -22,6 +22,7 @@ from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem
 from gap.model.features import BLOCKS
 from plant.constants import PlantConstants, nominal
+from plant.effects.effects import Effects
 from plant.errors import PlantError
 from plant.finger import FingerSim, load_finger
 from plant.simulator.simulate import Commands, commands, run_commands
@@ -159,7 +160,10 @@ def test_the_diagnosis_predicts_both_kinds_of_valve_as_the_bench_does(tmp_path: 
          "outlet_conductance_m3_s_pa": FULL}
     )  # fmt: skip
     told = commands([(0.1, "inlet", 1.0), (1.2, "inlet", 0.0), (1.4, "outlet", 1.0)])
-    kpa = run_commands(c, told, 3.0, rate_hz=200.0).pressure_kpa
+    # Where the outlet has fallen shut, a leak goes on.
+    leak = {"leak": {"conductance_m3_s_pa": 2e-12}}
+    kpa = run_commands(c, told, 3.0, rate_hz=200.0, effects=Effects(leak)).pressure_kpa
+    assert kpa[-1] < 18.0
     folder = recorded(tmp_path / "set", bench={
         "inlet_closing_kpa": 60.0, "outlet_closing_kpa": 20.0, "inlet_conductance_m3_s_pa": FULL,
         "outlet_conductance_m3_s_pa": FULL,
@@ -172,6 +176,8 @@ def test_the_diagnosis_predicts_both_kinds_of_valve_as_the_bench_does(tmp_path: 
     table.astype({"inlet_cmd": int, "outlet_cmd": int}).to_csv(folder / "samples.csv", index=False)
     pd.DataFrame({"trial": names, "slot": names, "protocol": "isometric", "held_length_mm": 60.0}
                  ).to_csv(folder / "trials.csv", index=False)  # fmt: skip
+    with (folder / "bench.toml").open("a") as file:
+        file.write("[effects.leak]\nconductance_m3_s_pa = 2e-12\n")
     problem = FitProblem.of(read_dataset(folder))
     assert np.abs(problem.stated_residual).max() < 0.5
     assert kpa.max() == pytest.approx(490.0, abs=0.05)

@@ -27,7 +27,9 @@ _ROUNDS = 3
 
 @dataclass(frozen=True)
 class _Found:
-    """What one trial shows of an effect: its amount and sd, the sd of its readings for that."""
+    """What one trial shows of an effect: amount, its sd, and how an amount of one moves the reading
+    (root mean square, kPa).
+    """
 
     trial: int
     amount: float
@@ -65,7 +67,7 @@ def _of_candidate(
     slots: Sequence[Sequence[int]],
 ) -> Active:  # fmt: skip
     amounts: dict[int, float] = {}
-    least: dict[int, int] = {}
+    tightest = set[int]()
     for _ in range(_ROUNDS):
         own = _in_trials(candidate, amounts)
         residual = _rows(model, c, [*active, *own])
@@ -79,22 +81,16 @@ def _of_candidate(
             found = [one for t in slot if (one := _shown(noise, model, signature, residual, t))]
             if len(found) < 2:
                 continue
-            total = {one.trial: one.amount + amounts.get(one.trial, 0.0) for one in found}
-            first = next((least[t] for t in slot if t in least), -1)
-            lowest = min(found, key=lambda one: total[one.trial])
-            if first >= 0:
-                lowest = next(one for one in found if one.trial == first)
+            known = [one for one in found if one.trial in tightest]
+            lowest = known[0] if known else min(found, key=lambda one: one.amount)
             for one in found:
-                if one is lowest:
-                    continue
-                if one.trial in amounts:
-                    amounts[one.trial] += one.amount - lowest.amount
+                refined = one.trial in amounts
+                if one is not lowest and (
+                    refined or (not known and _differs(model, signature, residual, one, lowest))
+                ):
+                    amounts[one.trial] = amounts.get(one.trial, 0.0) + one.amount - lowest.amount
+                    tightest.add(lowest.trial)
                     changed = True
-                elif first < 0 and _differs(model, signature, residual, one, lowest):
-                    amounts[one.trial] = one.amount - lowest.amount
-                    changed = True
-            if any(t in amounts for t in slot):
-                least.setdefault(lowest.trial, lowest.trial)
         if not changed:
             break
     return _in_trials(candidate, {t: a for t, a in amounts.items() if a > 0.0})

@@ -191,7 +191,7 @@ class FitProblem:
             active = plain.active_effects(problem.base.shift, (), np.empty(0))
             found = effects_by_trial(problem.model, c, active, problem.candidates, slots)
             if not found:
-                return plain if problem.by_trial else problem
+                return self
             stated = [*shared, *found]
             residual = _stacked_residual(problem.model, problem.data.constants, stated)
             noise = learn_noise(problem.model, problem.data.constants, residual)

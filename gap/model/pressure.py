@@ -216,10 +216,11 @@ def _advance(
             alone = slope == 0.0 and q[stage.LINE] == 0.0
             if inlet > 0.0 and outlet == 0.0 and p <= filled - s[3] and alone:
                 p1 = min(p1, filled - s[3])
-            if outlet > 0.0 and inlet == 0.0 and alone and p >= vented:
-                p1 = max(p1, vented)
-            elif outlet > 0.0 and inlet == 0.0 and alone and p < 0.0:
-                p1 = min(p1, 0.0)
+            if outlet > 0.0 and inlet == 0.0 and alone:
+                if p > vented or p == 0.0:
+                    p1 = max(p1, vented if p > vented else 0.0)
+                elif p < 0.0:
+                    p1 = min(p1, 0.0)
         if q[stage.LINE] > 0.0:
             s[4] += (p - s[4]) * (1.0 - math.exp(-h / q[stage.LINE_TIME]))
         if q[stage.HEAT_RATE] > 0.0:
