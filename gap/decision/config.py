@@ -79,7 +79,7 @@ class DecisionConfig:
     many: int = 3
     """Effects of an explanation, further ones included, from which on those that are there by
     themselves are named although others fit the whole as well. More effects found at once. Set on:
-    sets 1133 to 1152 and 1175 to 1199 of the stream `several`, where 6 of 7 such effects were
+    sets 1133 to 1156 and 1175 to 1199 of the stream `several`, where 6 of 7 such effects were
     there, and pairs 52880 to 53089 of the held-out forms: 2 of 2 were there, and with two effects
     3 of 5."""
     doubtful_unknown: float = 0.3
