@@ -14,7 +14,6 @@ import numpy as np
 from daq.progress import stage
 from gap.data.dataset import DataSet
 from gap.data.quality import Unfit, unfit_channels
-from gap.decision.by_trial import with_effects_by_trial
 from gap.decision.classify import classify
 from gap.decision.config import DECISION
 from gap.effects.candidates import CANDIDATES, Candidate
@@ -28,7 +27,7 @@ from gap.selection.inclusion import excess_chi2
 from gap.selection.search import SearchResult, search_effects
 from gap.selection.timing import channel_with_timing_fault
 from gap.validation.empirical import empirical_term
-from gap.verdict import Status, Verdict
+from gap.verdict import Estimate, Explanation, Status, Verdict
 from plant.effects.catalogue import CATALOGUE
 
 
@@ -155,6 +154,60 @@ def with_empirical_term(verdict: Verdict, problem: FitProblem, search: SearchRes
     gains = sorted((k for k in search.first_gain if k in ids), key=lambda k: -search.first_gain[k])
     near = list(dict.fromkeys(ids[k] for k in gains if ids[k] not in fit.ids))[:_NEAREST]
     return replace(verdict, empirical=empirical_term(problem, fit, near))
+
+
+_TRIALS_SHOWN = 6
+"""Trials that a note names."""
+
+
+def with_effects_by_trial(verdict: Verdict, problem: FitProblem) -> Verdict:
+    """The verdict with a note for each effect of which some trials have more than their replicates.
+
+    Where nothing else is a gap, such an effect is what the data show.
+    """
+    amounts: dict[str, dict[str, float]] = {}
+    for name, _, amount, shape in problem.by_trial:
+        trial = problem.data.trials[int(shape["trial"])].name
+        amounts.setdefault(name, {})[trial] = amount
+    if not amounts:
+        return verdict
+    notes = tuple(_note_by_trial(name, own) for name, own in amounts.items())
+    verdict = replace(verdict, notes=(*notes, *verdict.notes))
+    if verdict.status is not Status.NO_GAP_ABOVE_FLOOR:
+        return verdict
+    names = tuple(amounts)
+    found: dict[str, Estimate] = {}
+    for name, own in amounts.items():
+        effect = CATALOGUE[name]
+        if effect.headline is not None:
+            found[effect.headline] = Estimate(max(own.values()))
+    first = CATALOGUE[names[0]]
+    count = len({trial for own in amounts.values() for trial in own})
+    known = 1.0 - verdict.probability_unknown
+    return replace(
+        verdict,
+        status=Status.NAMED,
+        reason=reason(
+            Cause.BY_TRIAL, names=" and ".join(names), count=count, trials=len(problem.data.trials)
+        ),
+        stage=first.stage,
+        effects=(Explanation(names, first.family, known, found),),
+        probability_none=0.0,
+        sure=names,
+    )
+
+
+def _note_by_trial(name: str, amounts: dict[str, float]) -> str:
+    """One line with the trials, those with most first."""
+    effect = CATALOGUE[name]
+    unit = next((p.unit for p in effect.parameters if p.name == effect.headline), "")
+    most = sorted(amounts, key=lambda trial: -amounts[trial])
+    told = ", ".join(f"{trial} {amounts[trial]:.2g}" for trial in most[:_TRIALS_SHOWN])
+    more = f" and {len(most) - _TRIALS_SHOWN} more" if len(most) > _TRIALS_SHOWN else ""
+    return (
+        f"{name} differs between replicates: beyond the one that has least, {told}{more} {unit}; "
+        "the fit gives each its own"
+    )
 
 
 def _unfit_plant(data: DataSet, found: list[UnfitPlant]) -> Verdict:
