@@ -96,7 +96,7 @@ def _spool(folder: Path) -> None:
             for t, u, p in zip(time_s, volts, bar + rng.normal(0.0, 0.003, len(bar)), strict=True)
         ]
         text = "\n".join(["t,u,p", *rows, ""])
-        (folder / f"spool-{run}.csv").write_text(text, encoding="utf-8")
+        (folder / f"spool-60mm-{run}.csv").write_text(text, encoding="utf-8")
 
 
 def _rates(folder: Path) -> None:

@@ -38,13 +38,16 @@ def draw_first_trial(data: DataSet, path: Path) -> None:
 
     trial = data.trials[0]
     names = [name for name in (*CHANNELS, *COMMANDS) if name in trial]
+    end_s = max((float(trial[name].time_s[-1]) for name in names if len(trial[name])), default=0.0)
     figure = Figure(figsize=(7.0, 1.0 + 1.5 * len(names)), layout="constrained")
     FigureCanvasAgg(figure)
     axes = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
     for axis, name in zip(axes, names, strict=True):
         channel = trial[name]
         if name in COMMANDS:
-            axis.step(channel.time_s, channel.value, where="post", lw=1.0)
+            # A command holds after its last change.
+            time_s, value = np.r_[channel.time_s, end_s], channel.value[[*range(len(channel)), -1]]
+            axis.step(time_s, value, where="post", lw=1.0)
         elif trial.settled:
             axis.plot(channel.time_s + 1.0, channel.value, "o", ms=3)
         else:
