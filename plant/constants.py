@@ -33,8 +33,8 @@ class Key:
     to_si: float
     low: float
     high: float
-    default: float | None = None
-    """Value where a plant file says nothing, in the unit of the key; None: it must say it."""
+    optional: bool = False
+    """Whether a complete plant file may leave it out; `PlantConstants` has its value then."""
 
 
 _KPA = 1e3
@@ -77,7 +77,7 @@ KEYS: dict[str, Key] = {
         ("outlet_drop_out_v", "outlet_drop_out_v", 1.0, 0.0, 60.0),
     ]
 } | {
-    name: Key(name, field, to_si, low, high, 0.0)
+    name: Key(name, field, to_si, low, high, optional=True)
     for name, field, to_si, low, high in [
         ("inlet_closing_kpa", "inlet_closing_pa", _KPA, 0.0, 1000.0),
         ("outlet_closing_kpa", "outlet_closing_pa", _KPA, 0.0, 1000.0),
@@ -93,7 +93,8 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "outlet_normally": ("closed", "open"),
     "valve": ("on_off", "proportional"),
 }
-"""Keys with a text value, and their possible values; the first is taken for `valve`."""
+"""Keys with a text value, and their possible values."""
+_OPTIONAL = frozenset({"valve", *(name for name, key in KEYS.items() if key.optional)})
 
 PROPORTIONAL: dict[str, float] = {
     "inlet_dead_band": 0.03, "outlet_dead_band": 0.03, "valve_lag_ms": 5.0,
@@ -229,12 +230,11 @@ def nominal() -> PlantConstants:
 
 
 def _from_table(table: Mapping[str, Any], origin: str) -> PlantConstants:
-    needed = [name for name, key in KEYS.items() if key.default is None]
-    missing = [name for name in [*needed, *CHOICES] if name not in {*table, "valve"}]
+    missing = [name for name in [*KEYS, *CHOICES] if name not in {*table, *_OPTIONAL}]
     if missing:
         raise PlantError(f"{origin}: missing {', '.join(missing)}; a plant file needs every key")
     # All placeholders are replaced, because the table has every key.
-    blank: dict[str, Any] = {key.field: math.nan for key in KEYS.values() if key.default is None}
+    blank: dict[str, Any] = {key.field: math.nan for key in KEYS.values() if not key.optional}
     return PlantConstants(**blank, delay_mode="", outlet_normally="").with_overrides(table, origin)
 
 

@@ -54,6 +54,14 @@ pwm_period_ms = 20
 )
 
 
+def test_a_period_that_makes_millions_of_pulses_is_a_slip(tmp_path: Path) -> None:
+    pd.DataFrame({"t": [0.0, 500.0, 1000.0], "p": 10.0, "duty": [0, 50, 0]}).to_csv(
+        tmp_path / "run.csv", index=False
+    )
+    with pytest.raises(GapError, match=r"makes more than 2e\+06 pulses \(check pwm_period_ms\)"):
+        imported(tmp_path, PULSED.replace("= 20", "= 0.1"))
+
+
 def logged(folder: Path, **columns: object) -> None:
     """A recording at 100 Hz."""
     length = max(len(np.atleast_1d(np.asarray(one))) for one in columns.values())

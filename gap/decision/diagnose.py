@@ -17,6 +17,7 @@ from gap.data.quality import Unfit, unfit_channels
 from gap.decision.classify import classify
 from gap.decision.config import DECISION
 from gap.effects.candidates import CANDIDATES, Candidate
+from gap.effects.terms import OF_TRIAL
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.fitness import UnfitPlant, beyond_braid, doubts, doubts_left
@@ -167,7 +168,7 @@ def with_effects_by_trial(verdict: Verdict, problem: FitProblem) -> Verdict:
     """
     amounts: dict[str, dict[str, float]] = {}
     for name, _, amount, shape in problem.by_trial:
-        trial = problem.data.trials[int(shape["trial"])].name
+        trial = problem.data.trials[int(shape[OF_TRIAL])].name
         amounts.setdefault(name, {})[trial] = amount
     if not amounts:
         return verdict

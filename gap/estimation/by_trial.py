@@ -148,3 +148,4 @@ def _differs(model: Model, signature: Array, residual: Array, one: _Found, other
 
 
 _LEAST_ROWS = 4
+"""Rows that two replicates must share to be compared."""

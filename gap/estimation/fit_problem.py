@@ -186,7 +186,7 @@ class FitProblem:
         problem, slots = self, list(self.data.slots.values())
         for _ in range(2):
             c = problem.constants(problem.base.shift)
-            shared = [one for one in problem.stated_effects if OF_TRIAL not in one[3]]
+            shared = _of_all_trials(problem.stated_effects)
             plain = replace(problem, stated_effects=shared)
             active = plain.active_effects(problem.base.shift, (), np.empty(0))
             found = effects_by_trial(problem.model, c, active, problem.candidates, slots)
@@ -296,7 +296,7 @@ class FitProblem:
 
     def on_model(self, data: DataSet, model: Model, noise: Noise) -> FitProblem:
         """The same plant and fits on other trials, with their model and noise."""
-        stated = [one for one in self.stated_effects if OF_TRIAL not in one[3]]
+        stated = _of_all_trials(self.stated_effects)
         return replace(self, data=data, model=model, noise=noise, stated_effects=stated, _kept={})
 
     @property
@@ -637,6 +637,11 @@ def _usable(data: DataSet, candidates: Sequence[Candidate]) -> tuple[Candidate, 
     usable = tuple(s for s in candidates if not (s.defect or s.search.scan == "clock"))
     # Lengths set by hand: one of them may be wrong.
     return usable + single_labels(usable, [trial.held_length_mm for trial in data.trials])
+
+
+def _of_all_trials(active: Active) -> Active:
+    """Effects without those that act in one trial alone."""
+    return [one for one in active if OF_TRIAL not in one[3]]
 
 
 def _bounded(candidates: Sequence[Candidate], amounts: Array) -> Array:

@@ -47,10 +47,8 @@ _outward = called(flow.outward_drive)
 _braid_volume = inlined(muscle.braid_volume)
 _follow = inlined(follow)
 _opening = inlined(valve.opening)
+_following = inlined(valve.following)
 _PENDING = 256
-_SPOOL_STEP = 0.125
-"""Part of a valve's lag for which its mean opening stands."""
-_ARRIVED = 1e-5
 _FOLLOW, _LEARN, _APPLY, _PUSH = 0, 1, 2, 3
 ACTS_S = 0.03
 """Seconds after a command's edge in which a valve may still move."""
@@ -325,16 +323,9 @@ def _trial(
                 inlet = opened[0]
                 outlet = opened[1]
                 if lag > 0.0 and (inlet != spool[0] or outlet != spool[1]):
-                    to = min(until, now + _SPOOL_STEP * lag)
-                    kept = math.exp(-(to - now) / lag)
-                    mean = (1.0 - kept) * lag / (to - now)
-                    for w in range(2):
-                        left = opened[w] - spool[w]
-                        opened[w] = spool[w]
-                        if abs(left * kept) > _ARRIVED:
-                            opened[w] += left * kept
-                    inlet = spool[0] + (inlet - spool[0]) * mean
-                    outlet = spool[1] + (outlet - spool[1]) * mean
+                    to = min(until, now + valve.SPOOL_STEP * lag)
+                    inlet, opened[0] = _following(opened[0], spool[0], to - now, lag)
+                    outlet, opened[1] = _following(opened[1], spool[1], to - now, lag)
                     acts = to + ACTS_S
                 _advance(
                     q, s, to - now, v_begin + slope * (now - begin),

@@ -7,6 +7,7 @@ upstream of that solenoid (supply for the inlet, muscle for the outlet) when the
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 from plant.constants import PlantConstants
@@ -47,6 +48,22 @@ def opening(command: float, dead_band: float) -> float:
     Shut within the dead band, in proportion beyond it. Also compiled into the kernels.
     """
     return max(command - dead_band, 0.0) / (1.0 - dead_band)
+
+
+SPOOL_STEP = 0.125
+"""Part of a valve's lag for which its mean opening stands."""
+_ARRIVED = 1e-5
+
+
+def following(now: float, goal: float, step_s: float, lag_s: float) -> tuple[float, float]:
+    """Mean opening over a step, and that at its end, of a valve behind a first-order lag.
+
+    What is left at the end counts as nothing below 1e-5. Also compiled into the kernels.
+    """
+    kept = math.exp(-step_s / lag_s)
+    left = (now - goal) * kept
+    mean = goal + (now - goal) * (1.0 - kept) * lag_s / step_s
+    return mean, goal + (left if abs(left) > _ARRIVED else 0.0)
 
 
 def pull_in_v(solenoid: Solenoid, upstream_pa: float, c: PlantConstants) -> float:

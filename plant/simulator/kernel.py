@@ -5,11 +5,11 @@ Importing this module loads numba and, the first time after an installation, com
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 from plant.compiled import Slots, called, entry_point, fingerprint, inlined
 from plant.physics import layout as at
+from plant.physics import valve
 from plant.simulator.rates import tension
 from plant.simulator.stepping import integrate
 from plant.simulator.valves import SAME_INSTANT_S, act, command, due_at
@@ -17,9 +17,7 @@ from plant.simulator.valves import SAME_INSTANT_S, act, command, due_at
 STATE = "float64[::1]"
 
 
-_SPOOL_STEP = 0.125
-"""Part of a valve's lag for which its mean opening stands."""
-_ARRIVED = 1e-5
+_following = inlined(valve.following)
 
 
 @called
@@ -28,21 +26,15 @@ def _moving(state: Slots, params: Slots, duration: float) -> None:
     lag = params[at.SPOOL_LAG]
     left = duration
     while left > 0.0:
-        inlet = state[at.INLET_OPEN] - state[at.SPOOL]
-        outlet = state[at.OUTLET_OPEN] - state[at.SPOOL + 1]
-        if lag == 0.0 or (inlet == 0.0 and outlet == 0.0):
+        inlet, outlet = state[at.INLET_OPEN], state[at.OUTLET_OPEN]
+        if lag == 0.0 or (inlet == state[at.SPOOL] and outlet == state[at.SPOOL + 1]):
             integrate(state, params, left)
             return
-        step = min(left, _SPOOL_STEP * lag)
-        kept = math.exp(-step / lag)
-        mean = (1.0 - kept) * lag / step
-        state[at.INLET_OPEN] = state[at.SPOOL] + inlet * mean
-        state[at.OUTLET_OPEN] = state[at.SPOOL + 1] + outlet * mean
+        step = min(left, valve.SPOOL_STEP * lag)
+        state[at.INLET_OPEN], inlet = _following(inlet, state[at.SPOOL], step, lag)
+        state[at.OUTLET_OPEN], outlet = _following(outlet, state[at.SPOOL + 1], step, lag)
         integrate(state, params, step)
-        inlet *= kept
-        outlet *= kept
-        state[at.INLET_OPEN] = state[at.SPOOL] + (inlet if abs(inlet) > _ARRIVED else 0.0)
-        state[at.OUTLET_OPEN] = state[at.SPOOL + 1] + (outlet if abs(outlet) > _ARRIVED else 0.0)
+        state[at.INLET_OPEN], state[at.OUTLET_OPEN] = inlet, outlet
         left -= step
 
 

@@ -122,15 +122,18 @@ def sealed(state: Slots, params: Slots) -> bool:
 
 
 @inlined
+def _across(state: Slots, which: int) -> float:
+    """Pressure across the inlet (0) or the outlet (1), Pa."""
+    pressure = state[at.PRESSURE]
+    return state[at.SUPPLY] - pressure if which == 0 else pressure
+
+
+@inlined
 def passing(state: Slots, params: Slots, which: int) -> float:
     """Opening of the inlet (0) or the outlet (1); 0 where too little pressure holds it open."""
     closing = params[at.CLOSING + which]
-    if closing > 0.0:
-        across = state[at.PRESSURE]
-        if which == 0:
-            across = state[at.SUPPLY] - across
-        if across <= closing * _FALLS_SHUT:
-            return 0.0
+    if closing > 0.0 and _across(state, which) <= closing * _FALLS_SHUT:
+        return 0.0
     return state[at.INLET_OPEN + which]
 
 
@@ -210,10 +213,7 @@ def until_shut(state: Slots, params: Slots, absolute: float, volume: float) -> f
         if closing > 0.0 and passing(state, params, which) > 0.0:
             flow_in, flow_out = flows(state, params, absolute)
             change = heat * abs(flow_in - flow_out)
-            across = state[at.PRESSURE]
-            if which == 0:
-                across = state[at.SUPPLY] - across
-            soonest = min(soonest, (across - closing) / max(change, 1.0))
+            soonest = min(soonest, (_across(state, which) - closing) / max(change, 1.0))
     return soonest
 
 
