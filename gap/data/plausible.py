@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from gap.data.dataset import DataSet
-from gap.data.trial import Trial
+from gap.data.trial import Trial, sampled
 from plant.arrays import Array
 from plant.constants import nominal
 from plant.physics.muscle import braid_force
@@ -105,14 +105,7 @@ def _commands(data: DataSet) -> list[str]:
         pressure = trial.get("pressure_kpa")
         if trial.settled or len(pressure) < 3:
             continue
-        told = {name: trial.get(name) for name in rise}
-        time_s = pressure.time_s
-        own = {}
-        for name, channel in told.items():
-            own[name] = np.zeros(len(time_s))
-            if len(channel):
-                at = np.searchsorted(channel.time_s, time_s, side="right") - 1
-                own[name] = np.where(at >= 0, channel.value[np.maximum(at, 0)], 0.0)
+        own = {name: sampled(name, trial.channels.get(name, 0.0), pressure.time_s) for name in rise}
         step = np.diff(pressure.value)
         for name, other in (("inlet_cmd", "outlet_cmd"), ("outlet_cmd", "inlet_cmd")):
             alone = (own[name][:-1] > 0.0) & (own[other][:-1] == 0.0)

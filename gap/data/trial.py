@@ -30,6 +30,20 @@ class Channel:
         return len(self.value)
 
 
+SAME_S = 1e-7
+"""Instants that are no further apart are the same."""
+
+
+def sampled(name: str, source: Channel | float, time_s: Array) -> Array:
+    """A channel at `time_s`: commands held and 0 before their first row, others interpolated."""
+    if not isinstance(source, Channel):
+        return np.full(len(time_s), source)
+    if name in COMMANDS:
+        last = np.searchsorted(source.time_s, time_s + SAME_S, side="right") - 1
+        return np.where(last >= 0, source.value[np.maximum(last, 0)], 0.0)
+    return np.interp(time_s, source.time_s, source.value)
+
+
 @dataclass(frozen=True)
 class Trial:
     """One trial as the dataset format describes it; NaN where a number is not known.

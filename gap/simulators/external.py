@@ -12,11 +12,11 @@ import numpy as np
 
 from daq.progress import stage as tell
 from gap.data.simulator import Parameter, Stage
-from gap.data.trial import Channel, Trial
+from gap.data.trial import Channel, Trial, sampled
 from gap.errors import GapError
 from gap.simulators.cached import Cached
 from gap.simulators.description import Description
-from gap.simulators.inputs import sampled, stage_sources, wanted_times
+from gap.simulators.inputs import stage_sources, wanted_times
 from plant.arrays import Array
 from plant.effects.effects import Effects
 

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from gap.data.simulator import Stage
-from gap.data.trial import COMMANDS, Channel, Trial
+from gap.data.trial import COMMANDS, Channel, Trial, sampled
 from gap.errors import GapError
 from gap.simulators.description import Description
 from gap.simulators.external import External, StaticExternal, first_line
-from gap.simulators.inputs import sampled, stage_sources
+from gap.simulators.inputs import stage_sources
 from plant.arrays import Array
 
 STEP_S = 1e-3

@@ -12,12 +12,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from gap.data.simulator import Stage
-from gap.data.trial import COMMANDS, Channel, Trial
+from gap.data.trial import SAME_S, Channel, Trial
 from plant.arrays import Array
 
 _MOVED_MM = 0.8
 """A length that moves by less is held; what was written down is then better than the camera."""
-_SAME_S = 1e-7
 
 
 def wanted_times(trial: Trial, stage: Stage) -> Array | None:
@@ -80,16 +79,6 @@ def stage_sources(
     return found
 
 
-def sampled(name: str, source: Channel | float, time_s: Array) -> Array:
-    """A channel at `time_s`: commands held and 0 before their first row, others interpolated."""
-    if not isinstance(source, Channel):
-        return np.full(len(time_s), source)
-    if name in COMMANDS:
-        last = np.searchsorted(source.time_s, time_s + _SAME_S, side="right") - 1
-        return np.where(last >= 0, source.value[np.maximum(last, 0)], 0.0)
-    return np.interp(time_s, source.time_s, source.value)
-
-
 def time_axis(sources: Mapping[str, Channel | float], wanted: Array, step_s: float) -> Array:
     """Every instant at which an input has a sample or the output is wanted, ascending.
 
@@ -100,7 +89,7 @@ def time_axis(sources: Mapping[str, Channel | float], wanted: Array, step_s: flo
     """
     times = [source.time_s for source in sources.values() if isinstance(source, Channel)]
     axis = np.unique(np.concatenate([*times, wanted]))
-    axis = axis[np.r_[True, np.diff(axis) > _SAME_S]]
+    axis = axis[np.r_[True, np.diff(axis) > SAME_S]]
     if step_s <= 0.0 or len(axis) < 2:
         return axis
     parts = np.maximum(np.ceil(np.diff(axis) / step_s - 1e-9), 1.0).astype(np.int64)

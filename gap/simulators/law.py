@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from gap.data.simulator import Parameter, Stage
-from gap.data.trial import Trial
+from gap.data.trial import Trial, sampled
 from gap.errors import GapError
 from gap.simulators.description import Description, read_table_of
 from gap.simulators.external import External, StaticExternal
-from gap.simulators.inputs import sampled, stage_sources
+from gap.simulators.inputs import stage_sources
 from plant.arrays import Array
 from plant.errors import PlantError
 from plant.models import catalogue

@@ -12,10 +12,11 @@ import numpy as np
 from gap.data.dataset import DataSet
 from gap.data.from_runs import open_data
 from gap.data.simulator import FORCE_STAGE, ExternalSimulator, Mask, domain_of, holds
+from gap.data.trial import sampled
 from gap.errors import GapError
 from gap.simulators.description import Description, described, read_description
 from gap.simulators.external import External
-from gap.simulators.inputs import sampled, stage_sources
+from gap.simulators.inputs import stage_sources
 from gap.simulators.law import open_law
 from gap.simulators.predictions import Predictions
 from gap.simulators.python_function import PythonSimulator, StaticPythonSimulator

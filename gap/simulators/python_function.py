@@ -20,11 +20,11 @@ import numpy as np
 
 from daq.user_program import load_program, place_in
 from gap.data.simulator import Stage
-from gap.data.trial import CHANNELS, COMMANDS, Trial
+from gap.data.trial import CHANNELS, COMMANDS, Trial, sampled
 from gap.errors import GapError
 from gap.simulators.description import Description
 from gap.simulators.external import External, StaticExternal, first_line
-from gap.simulators.inputs import sampled, stage_sources, time_axis
+from gap.simulators.inputs import stage_sources, time_axis
 from plant.arrays import Array
 
 Function = Callable[..., Any]
