@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -73,21 +74,21 @@ def _in_steps(time_s: Array, value: Array) -> Array:
     made = value.copy()
     width = np.r_[np.diff(time_s), 0.0]
     course = value.tolist()
-    first, low, high = 0, course[0], course[0]
-    for k in range(1, len(course) + 1):
-        if k < len(course):
-            lower, higher = min(low, course[k]), max(high, course[k])
-            # Shut and wholly open are kept as they are.
-            inside = (lower > 0.0) == (higher > 0.0) and (lower < 1.0) == (higher < 1.0)
-            if inside and higher - lower <= _COMMAND_STEP:
-                low, high = lower, higher
-                continue
-        own = slice(first, k)
+    starts, low, high = [0], course[0], course[0]
+    for k, told in enumerate(course[1:], start=1):
+        lower, higher = min(low, told), max(high, told)
+        # Shut and wholly open are kept as they are.
+        inside = (lower > 0.0) == (higher > 0.0) and (lower < 1.0) == (higher < 1.0)
+        if inside and higher - lower <= _COMMAND_STEP:
+            low, high = lower, higher
+        else:
+            starts.append(k)
+            low = high = told
+    for begin, end in pairwise([*starts, len(course)]):
+        own = slice(begin, end)
         total = float(width[own].sum())
-        if total > 0.0 and high > low:
+        if total > 0.0 and np.ptp(value[own]) > 0.0:
             made[own] = float(value[own] @ width[own]) / total
-        if k < len(course):
-            first, low, high = k, course[k], course[k]
     return made
 
 
