@@ -84,6 +84,7 @@ KEYS: dict[str, Key] = {
         ("inlet_dead_band", "inlet_dead_band", 1.0, 0.0, 0.9),
         ("outlet_dead_band", "outlet_dead_band", 1.0, 0.0, 0.9),
         ("valve_lag_ms", "valve_lag_s", _MS, 0.0, 1000.0),
+        ("piston_area_mm2", "piston_area_m2", 1e-6, 1.0, 1e6),
     ]
 }
 """All numeric keys of a plant file; bounds are in the unit of the key and included."""
@@ -92,15 +93,24 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "delay_mode": ("inertial", "transport"),
     "outlet_normally": ("closed", "open"),
     "valve": ("on_off", "proportional"),
+    "actuator": ("muscle", "cylinder"),
 }
 """Keys with a text value, and their possible values."""
-_OPTIONAL = frozenset({"valve", *(name for name, key in KEYS.items() if key.optional)})
+_OPTIONAL = frozenset({"valve", "actuator", *(name for name, key in KEYS.items() if key.optional)})
 
 PROPORTIONAL: dict[str, float] = {
     "inlet_dead_band": 0.03, "outlet_dead_band": 0.03, "valve_lag_ms": 5.0,
 }  # fmt: skip
 """Constants that a proportional valve alone has, and their tolerance where none is stated: wide,
 since few data sheets give them."""
+
+_BRAID = ("braid_length_mm", "turns")
+PISTON_TOLERANCE = 0.01
+"""Share (1 sd) by which a piston's area is known where nothing is stated: half a per cent of the
+bore."""
+_CYLINDER_TURNS = 1e4
+"""Turns of the braid that stands for a cylinder. Threads that run round it keep its diameter and
+carry nothing along it: the braid's formulas are those of a piston, to 1e-6."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +158,16 @@ class PlantConstants:
     inlet_dead_band: float = 0.0
     outlet_dead_band: float = 0.0
     valve_lag_s: float = 0.0
+    actuator: str = "muscle"
+    piston_area_m2: float = 0.0
     tolerances: tuple[tuple[str, float | str], ...] = ()
+
+    def __post_init__(self) -> None:
+        """Give a cylinder the braid that behaves as it does."""
+        if self.actuator == "cylinder":
+            braid_m = _CYLINDER_TURNS * math.sqrt(4.0 * math.pi * self.piston_area_m2)
+            object.__setattr__(self, "turns", _CYLINDER_TURNS)
+            object.__setattr__(self, "braid_length_m", braid_m)
 
     def with_overrides(
         self, overrides: Mapping[str, Any], origin: str = "plant overrides"
@@ -169,15 +188,27 @@ class PlantConstants:
                 key = _key(name, origin)
                 number = tomlfile.number_in_range(value, name, key.low, key.high, origin)
                 changes[key.field] = number * key.to_si
+        _check_actuator(changes.get("actuator", self.actuator), overrides, self, origin)
         return _consistent(dataclasses.replace(self, **changes), origin)
 
-    def check_plain_valves(self, what: str) -> None:
-        """Raise `PlantError` where the valves are more than `what` follows: on, off and delays."""
+    def check_plain(self, what: str) -> None:
+        """Raise `PlantError` where the constants are more than `what` follows.
+
+        It follows a muscle whose valves have two states and delays.
+        """
+        if self.actuator != "muscle":
+            raise PlantError(f"{what} has muscles; actuator = {self.actuator!r} is none")
         if self.valve != "on_off" or self.inlet_closing_pa or self.outlet_closing_pa:
             raise PlantError(
                 f"{what} has on/off valves without a closing pressure; proportional valves and "
                 "closing pressures are for single muscles and for the diagnosis"
             )
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Numeric keys that a plant file of this actuator states."""
+        others = _BRAID if self.actuator == "cylinder" else ("piston_area_mm2",)
+        return tuple(name for name in KEYS if name not in others)
 
     def value(self, name: str) -> float:
         """Value of a numeric plant-file key in the unit of the key. Raises `PlantError`."""
@@ -187,10 +218,16 @@ class PlantConstants:
     def tolerance_si(self, name: str) -> float:
         """One standard deviation of a plant-file key in SI; 0 if not stated.
 
-        What a proportional valve alone has is known to `PROPORTIONAL` where nothing is stated.
+        What a proportional valve alone has is known to `PROPORTIONAL` where nothing is stated, the
+        area of a piston to `PISTON_TOLERANCE`.
         """
         key = _key(name, "plant constants")
         usual = PROPORTIONAL.get(name, 0.0) if self.valve == "proportional" else 0.0
+        if self.actuator == "cylinder":
+            if name in _BRAID:
+                return 0.0
+            if name == "piston_area_mm2":
+                usual = PISTON_TOLERANCE * self.value(name)
         stated = dict(self.tolerances).get(name, usual)
         if isinstance(stated, str):
             return abs(float(getattr(self, key.field))) * _percent(name, stated, "tolerance") / 100
@@ -230,7 +267,8 @@ def nominal() -> PlantConstants:
 
 
 def _from_table(table: Mapping[str, Any], origin: str) -> PlantConstants:
-    missing = [name for name in [*KEYS, *CHOICES] if name not in {*table, *_OPTIONAL}]
+    optional = _OPTIONAL | (set(_BRAID) if table.get("actuator") == "cylinder" else set())
+    missing = [name for name in [*KEYS, *CHOICES] if name not in {*table, *optional}]
     if missing:
         raise PlantError(f"{origin}: missing {', '.join(missing)}; a plant file needs every key")
     # All placeholders are replaced, because the table has every key.
@@ -283,6 +321,25 @@ def _percent(name: str, text: str, where: str) -> float:
             f'{where}: {name} = {text!r}; expected a percentage from 0 to 100 % such as "5 %"'
         )
     return share
+
+
+def _check_actuator(
+    actuator: str, stated: Mapping[str, Any], before: PlantConstants, origin: str
+) -> None:
+    """Raise `PlantError` where constants of a muscle and of a cylinder are mixed."""
+    if actuator == "muscle":
+        if "piston_area_mm2" in stated:
+            raise PlantError(
+                f"{origin}: piston_area_mm2 is of a cylinder alone; "
+                'state actuator = "cylinder", or leave it out'
+            )
+        return
+    for name in _BRAID:
+        if name in stated:
+            raise PlantError(f"{origin}: {name} is of a braid; a cylinder has piston_area_mm2")
+    for name in ("piston_area_mm2", "length_min_mm", "length_max_mm"):
+        if before.actuator == "muscle" and name not in stated:
+            raise PlantError(f'{origin}: actuator = "cylinder" needs {name}')
 
 
 def _consistent(c: PlantConstants, origin: str) -> PlantConstants:

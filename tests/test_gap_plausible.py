@@ -77,7 +77,7 @@ def test_a_test_told_right_has_no_remark(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (_psi, "forces are 6.89 times those of the braid as stated, as of pressures in psi read"),
+        (_psi, "forces are 6.89 times those of the muscle as stated, as of pressures in psi read"),
         (_times("force_n", 1.0 / 9.80665), "as of pressures in mbar read as kPa, or forces in kgf"),
         (_times("force_n", 1.0 / 4.448222), "as of forces in lbf read as N"),
         (_times("force_n", 1e-3), "as of pressures in Pa read as kPa, or forces in kN read as N"),

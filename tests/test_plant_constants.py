@@ -47,7 +47,7 @@ def test_overrides_are_in_the_file_s_units_and_leave_the_original_alone() -> Non
 
 
 def table() -> dict[str, object]:
-    read: dict[str, object] = {name: C.value(name) for name in KEYS}
+    read: dict[str, object] = {name: C.value(name) for name in C.keys}
     return read | {"delay_mode": "inertial", "outlet_normally": "closed"}
 
 

@@ -102,7 +102,7 @@ def plain_kinds() -> tuple[Plain, ...]:
                 "": {**{k.name: between(k.low, k.high) for k in KEYS.values()},
                      **{key: ", ".join(words) for key, words in CHOICES.items()}, "tolerance": ""},
             },
-            (PLANT / "thesis.toml",),
+            (PLANT / "thesis.toml", EXAMPLES / "plant-cylinder.toml"),
             load_constants,
         ),
         Plain(

@@ -47,7 +47,7 @@ def remarks(data: DataSet) -> list[str]:
     points = [found for trial in data.trials if (found := _points(trial)) is not None]
     if points:
         pressure, length, force = (np.concatenate(one) for one in zip(*points, strict=True))
-        made += _force_sign(pressure, length, force)
+        made += _force_sign(data, pressure, length, force)
         made += _force_size(data, pressure, length, force)
     return made + _length_sign(data)
 
@@ -146,9 +146,16 @@ def _points(trial: Trial) -> tuple[Array, Array, Array] | None:
     return (p[good], x[good], f[good]) if good.any() else None
 
 
-def _force_sign(pressure: Array, length: Array, force: Array) -> list[str]:
-    """A pull that falls where pressure rises, at equal lengths."""
+def _force_sign(data: DataSet, pressure: Array, length: Array, force: Array) -> list[str]:
+    """A pull that falls where pressure rises, at equal lengths; a cylinder's push does."""
     slope, alike = _partial(pressure, length, force)
+    if data.constants.actuator == "cylinder":
+        if slope > 0.0 and alike > _SURE and float(np.median(force)) > 0.0:
+            return [
+                f"forces are positive and grow by {slope:.3g} N per kPa of pressure: force_n is "
+                "the pull, and a cylinder pushes: its force is negative"
+            ]
+        return []
     if slope < 0.0 and alike < -_SURE and float(np.median(force)) < 0.0:
         return [
             f"forces are negative and fall by {-slope:.3g} N per kPa of pressure: force_n is the "
@@ -159,6 +166,8 @@ def _force_sign(pressure: Array, length: Array, force: Array) -> list[str]:
 
 def _length_sign(data: DataSet) -> list[str]:
     """Lengths that grow with pressure under a steady load: a contraction, or the wrong sign."""
+    if data.constants.actuator == "cylinder":
+        return []
     moved: list[tuple[float, float]] = []
     for trial in data.trials:
         pressure, length = trial.get("pressure_kpa"), trial.get("length_mm")
@@ -191,6 +200,8 @@ def _force_size(data: DataSet, pressure: Array, length: Array, force: Array) -> 
     if not np.all(length < 1e3 * c.braid_length_m):
         return []
     told = np.asarray(braid_force(pressure * 1e3, length * 1e-3, c.braid_length_m, c.turns))
+    if c.actuator == "cylinder":
+        told, force = -told, -force
     large = told > 0.3 * max(float(told.max(initial=0.0)), 1e-12)
     if large.sum() < _LEAST_POINTS:
         return []
@@ -202,8 +213,8 @@ def _force_size(data: DataSet, pressure: Array, length: Array, force: Array) -> 
         near = np.abs(ratios / factor - 1.0) < 2.0 * _LIKE_SLIP
         if abs(ratio / factor - 1.0) < _LIKE_SLIP and float(near.mean()) > _MOST:
             return [
-                f"forces are {ratio:.3g} times those of the braid as stated, as of {slip}: check "
-                "the units, and the constants of the muscle"
+                f"forces are {ratio:.3g} times those of the {c.actuator} as stated, as of {slip}: "
+                "check the units, and its constants"
             ]
     return []
 

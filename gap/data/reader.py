@@ -90,7 +90,9 @@ def _bench(path: Path) -> tuple[PlantConstants, Effects, Corrections]:
     try:
         constants = nominal().with_overrides(table, str(path))
         corrections = Corrections.from_config(empirical, f"{path} empirical")
-        return constants, Effects.from_config(effects, f"{path} effects"), corrections
+        stated = Effects.from_config(effects, f"{path} effects")
+        stated.check_actuator(constants, f"{path} effects")
+        return constants, stated, corrections
     except PlantError as exc:
         raise GapError(str(path), str(exc).removeprefix(f"{path}: ")) from exc
 

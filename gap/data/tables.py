@@ -15,6 +15,7 @@ from daq.store.tablefile import LARGEST_HEAD, check_csv, read_parquet
 from gap.errors import GapError
 from plant.arrays import Array
 from plant.constants import PlantConstants
+from plant.effects.reference import size_of
 
 # A column that begins like one of ours but ends otherwise is most likely another unit.
 _QUANTITIES: tuple[str, ...] = (
@@ -203,8 +204,8 @@ def _range(table: Table, name: str, value: Array, constants: PlantConstants) -> 
             bad = (value < 0.0) | (value > 1.0)
             expected = "expected 0 to 1, the share of the whole opening"
     else:
-        braid = constants.braid_length_m * 1e3
-        limits = {"length_mm": (braid / 30.0, 10.0 * braid)}
+        size = size_of(constants) * 1e3
+        limits = {"length_mm": (size / 30.0, 10.0 * size)}
         limits["held_length_mm"] = limits["length_mm"]
         low, high = limits.get(name, _LIMITS.get(name, (-np.inf, np.inf)))
         bad = (value < low) | (value > high)

@@ -630,8 +630,11 @@ class FitProblem:
 def _usable(data: DataSet, candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
     """Candidates for a data set.
 
-    A table of settled points has no time in it, so nothing in it can be out of time.
+    A table of settled points has no time in it, so nothing in it can be out of time. A cylinder has
+    no braid.
     """
+    if data.constants.actuator == "cylinder":
+        candidates = [s for s in candidates if s.defect or not CATALOGUE[s.id].of_braid]
     if not data.settled:
         return tuple(candidates)
     usable = tuple(s for s in candidates if not (s.defect or s.search.scan == "clock"))

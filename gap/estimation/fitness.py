@@ -181,7 +181,7 @@ def _constants(
         yield UnfitPlant(Misfit.CONSTANTS, name, far, config.far_sd)
 
 
-_MUSCLE = ("braid_length_mm", "turns")
+_MUSCLE = ("braid_length_mm", "turns", "piston_area_mm2")
 _SIMULATOR = "simulator "
 
 

@@ -22,6 +22,7 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
     "gas_temperature_k": ("pressure",),
     "braid_length_mm": ("pressure", "force", "load"),
     "turns": ("pressure", "force", "load"),
+    "piston_area_mm2": ("pressure", "force", "load"),
     "inlet_conductance_m3_s_pa": ("pressure",),
     "outlet_conductance_m3_s_pa": ("pressure",),
     "critical_ratio": ("pressure",),

@@ -11,7 +11,7 @@ from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.intervals import headline_estimates, undamped_step
 from gap.output import toml_value
 from gap.verdict import EmpiricalTerm
-from plant.constants import CHOICES, KEYS, nominal
+from plant.constants import CHOICES, nominal
 from plant.effects.catalogue import CATALOGUE
 from plant.effects.empirical import Correction
 
@@ -30,7 +30,7 @@ def improved_plant(
     usual = nominal()
     lines += [
         f"{name} = {constants.value(name):.8g}"
-        for name in KEYS
+        for name in constants.keys
         if name in problem.names or constants.value(name) != usual.value(name)
     ]
     lines += [

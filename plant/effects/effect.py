@@ -293,6 +293,7 @@ class Effect:
             bench.
         calibration: key of `calibration.toml` that states how far the effect may go unnoticed.
         each_trial: how the effect varies from trial to trial on a sound bench.
+        of_braid: whether it is of a braid round a tube: a cylinder does not have it.
         reference: the standard that gives the effect by itself, and how well it gives the
             headline parameter (one sd, in its unit).
     """
@@ -317,6 +318,7 @@ class Effect:
     shows_as: tuple[str, ...] = ()
     calibration: str = ""
     each_trial: tuple[EachTrial, ...] = ()
+    of_braid: bool = False
     reference: tuple[Standard, float] | None = None
     plant: InPlant = InPlant()
     sensors: InSensors = InSensors()

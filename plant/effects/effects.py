@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from plant.constants import PlantConstants
 from plant.effects.arguments import Values
 from plant.effects.catalogue import CATALOGUE
 from plant.effects.effect import Effect, Parameter
@@ -67,6 +68,12 @@ class Effects:
     def carried_kg(self) -> float:
         """Mass that hangs beside the stated load."""
         return sum(amount for effect, amount in self.headlines() if effect.plant.mass is not None)
+
+    def check_actuator(self, c: PlantConstants, origin: str = "effects") -> None:
+        """Raise `PlantError` where an effect is of a braid and the actuator has none."""
+        for effect, _ in self.active():
+            if effect.of_braid and c.actuator == "cylinder":
+                raise PlantError(f"{origin}.{effect.id}: an effect of a braid; a cylinder has none")
 
     def headlines(self) -> list[tuple[Effect, float]]:
         """The effects in force that have a headline parameter, with its value."""

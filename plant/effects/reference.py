@@ -21,7 +21,19 @@ TEMPERATURE_C = 21.0
 
 def length_of(c: PlantConstants) -> float:
     """`LENGTH_M` in proportion to the braid of another bench, m."""
-    return LENGTH_M * c.braid_length_m / BRAID_LENGTH_M
+    return LENGTH_M * size_of(c) / BRAID_LENGTH_M
+
+
+def size_of(c: PlantConstants) -> float:
+    """Braid length of a muscle, by which its lengths are in proportion, m.
+
+    Of a cylinder, that of a muscle as long as its longest.
+    """
+    return c.length_max_m / _LONGEST if c.actuator == "cylinder" else c.braid_length_m
+
+
+_LONGEST = 72.5 / 88.4
+"""Length of the reference bench's muscle at the long stop, in braid lengths."""
 
 
 def middle_of(c: PlantConstants) -> float:

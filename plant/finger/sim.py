@@ -62,8 +62,8 @@ class FingerSim:
                 )
         if not step_max_s > 0.0:
             raise PlantError(f"step_max_s = {step_max_s!r}; expected more than 0")
+        constants.check_plain("a finger")
         finger.check_lengths(constants)
-        constants.check_plain_valves("a finger")
         self.finger = finger.with_payload(payload_kg)
         self.constants = constants
         self.step_max_s = step_max_s

@@ -162,7 +162,7 @@ class Scene:
         reach = np.zeros((m, n + 1))
         tables: list[ModelTable] = []
         for k, unit in enumerate(self.units):
-            unit.constants.check_plain_valves("a scene")
+            unit.constants.check_plain("a scene")
             params[k] = build_params(unit.constants, unit.effects, unit.source)
             params[k, at.STEP_MAX] = STEP_MAX_S * step_share
             params[k, at.STEP_SAFETY] = STEP_SAFETY * step_share

@@ -67,6 +67,7 @@ def build_params(
         raise PlantError(f"load = {load!r}; allowed 'isometric' or 'isotonic'")
     if not 1e-3 <= mass_kg <= 1e3:
         raise PlantError(f"mass_kg = {mass_kg!r}; allowed 0.001 to 1000")
+    effects.check_actuator(constants)
     at = {
         **nominal_slots(constants),
         layout.SOURCE: 1.0 if source == "regulator" else 0.0,

@@ -36,8 +36,9 @@ from plant.simulator.rates import (
 
 # Absolute pressures within this ratio are equal: 0.6 mPa, where rounding would stall the approach.
 _EQUAL = 1.0 + 1e-9
-# A prescribed length stays between these shares of the braid length.
-_TRAVEL_LOW = 0.1
+# A prescribed length stays above this share of the length at the short stop,
+_TRAVEL_LOW = 0.2
+# and below this share of the braid length.
 _TRAVEL_HIGH = 0.99
 # What remembers takes its inputs as straight lines over at most this time, s.
 _MEMORY_STEP_S = 1e-3
@@ -107,8 +108,10 @@ def _end_of_travel(state: Slots, params: Slots, duration: float) -> None:
     """Stop a stage that would leave what a braid can be, before its formulas lose their meaning."""
     rate = state[at.LENGTH_RATE]
     if params[at.LOAD] == 0.0 and rate != 0.0:
-        share = (state[at.LENGTH] + rate * duration) / params[at.BRAID_LENGTH]
-        if (share > _TRAVEL_HIGH and rate > 0.0) or (share < _TRAVEL_LOW and rate < 0.0):
+        length = state[at.LENGTH] + rate * duration
+        long = length > _TRAVEL_HIGH * params[at.BRAID_LENGTH]
+        short = length < _TRAVEL_LOW * params[at.LENGTH_MIN]
+        if (long and rate > 0.0) or (short and rate < 0.0):
             state[at.LENGTH_RATE] = 0.0
 
 

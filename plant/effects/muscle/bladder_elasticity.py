@@ -5,7 +5,7 @@ from __future__ import annotations
 from plant.constants import PlantConstants
 from plant.effects.arguments import Array, Context, Params, Points, Shape, Values
 from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
-from plant.effects.reference import LENGTH_M, length_of
+from plant.effects.reference import LENGTH_M, length_of, size_of
 
 STIFFNESS, REST, HARDENING = 41, 42, 43  # N/m, m, 1/m2
 _HARDENED_M = 8e-3
@@ -52,11 +52,11 @@ def _force(
 ) -> Array:
     c = context.constants
     hardening = 1.0 / _HARDENED_M**2 if "cubic" in shape else 0.0
-    return spring(length, 1e3, shape["rest"] * c.braid_length_m, hardening, length_of(c))
+    return spring(length, 1e3, shape["rest"] * size_of(c), hardening, length_of(c))
 
 
 def _rest_of(shape: Shape, context: Context) -> dict[str, float]:
-    return {"rest_mm": shape["rest"] * context.constants.braid_length_m * 1e3}
+    return {"rest_mm": shape["rest"] * size_of(context.constants) * 1e3}
 
 
 BLADDER_ELASTICITY = Effect(

@@ -25,12 +25,15 @@ _TRAVELS = ((40.0, 0.4), (10.0, 0.1), (120.0, 1.2), (40.0, 0.1), (10.0, 0.5), (6
 """Rise of pressure (kPa) and shortening (mm) after which all fibres slip."""
 _PRESSED_PA = 2e3
 """Gauge pressure from which fibres rub in the form that does not scale with pressure."""
+_NO_SLIP_PA = 1e15
+"""Rise of pressure after which the seals of a cylinder slip: only its travel moves them."""
 
 
 def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
+    cylinder = c.actuator == "cylinder"
     return {
         FORCE: float(values["friction_n"]),
-        TRAVEL_PRESSURE: float(values["travel_kpa"]) * 1e3,
+        TRAVEL_PRESSURE: _NO_SLIP_PA if cylinder else float(values["travel_kpa"]) * 1e3,
         TRAVEL_LENGTH: float(values["travel_mm"]) * 1e-3,
     }
 
@@ -69,14 +72,17 @@ def _force(
 ) -> Array:
     from plant.physics import paths
 
-    travel = points.path / (shape["kpa"] * 1e3) - length / (shape["mm"] * 1e-3)
+    seals = context.constants.actuator == "cylinder"
+    travel = -length / (shape["mm"] * 1e-3)
+    if not seals:
+        travel = travel + points.path / (shape["kpa"] * 1e3)
     slip = np.zeros(len(p))
     paths.slip(points.first, without_noise_turns(points, travel), slip)
     # The rows of a table of settled points are no path: only a stated direction tells.
     slip = np.where(points.settled, points.direction, slip)
     if shape["pressure"]:
         return -slip * (np.maximum(p, 0.0) / MIDDLE_PRESSURE_PA)
-    return -slip * np.where(p > _PRESSED_PA, 1.0, 0.0)
+    return -slip * np.where((p > _PRESSED_PA) | seals, 1.0, 0.0)
 
 
 BRAID_FRICTION = Effect(

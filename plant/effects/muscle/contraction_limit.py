@@ -70,6 +70,7 @@ CONTRACTION_LIMIT = Effect(
     equation="F - f exp(-(L - length_min - 1 mm) / scale)",
     source="Tondu 2012 (force near the greatest contraction)",
     standard="gauge blocks of lengths near the shortest between the holders, and a force sensor",
+    of_braid=True,
     plant=InPlant(slots=_slots, add=_add, stiffness=_stiffness),
     diagnosis=InDiagnosis(force=_force, at_rest=True),
     search=Search(

@@ -95,6 +95,7 @@ CREEP = Effect(
     equation="F - g sum m_i, tau_i dm_i/dt = F_e - m_i, four tau_i from fast_s to slow_s",
     source="Fung 1993 (quasi-linear viscoelasticity); Vo-Minh et al. 2011",
     standard="none needed: one point held for minutes",
+    of_braid=True,
     plant=InPlant(slots=_slots, transient=_transient, follow=_follow),
     diagnosis=InDiagnosis(force=_force),
     search=Search(

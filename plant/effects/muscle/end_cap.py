@@ -69,6 +69,7 @@ END_CAP = Effect(
     source="Tondu and Lopez 2000 (factor k on the contraction)",
     standard="gauge blocks in place of the muscle",
     constants=("braid_length_mm", "turns"),
+    of_braid=True,
     plant=InPlant(slots=_slots, inner=_inner, stiffness=_stiffness),
     diagnosis=InDiagnosis(shortened=_shortened),
     search=Search(

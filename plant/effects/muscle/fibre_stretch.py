@@ -45,6 +45,7 @@ FIBRE_STRETCH = Effect(
     source="Davis, Tsagarakis, Canderle and Caldwell 2003",
     standard="dead weights on the force sensor, then force against pressure at one length",
     constants=("braid_length_mm", "turns"),
+    of_braid=True,
     plant=InPlant(slots=_slots, threads=_threads),
     diagnosis=InDiagnosis(stretch=_stretch),
     search=Search(

@@ -51,6 +51,7 @@ LINER_THRESHOLD = Effect(
     equation="p -> w ln(1 + exp(-p_t / w) (exp(p / w) - 1)), which tends to p - p_t",
     source="Chou and Hannaford 1996; Klute and Hannaford 2000 (threshold pressure)",
     standard="a vented pressure gauge; force at closely spaced low pressures",
+    of_braid=True,
     plant=InPlant(slots=_slots, push=_push),
     diagnosis=InDiagnosis(lost=_lost),
     search=Search(

@@ -65,6 +65,7 @@ TEMPERATURE_STIFFENING = Effect(
     equation="F + k (T - T_ref) ((1 - s) F + s F(500 kPa)), F the braid's",
     source="Equations 4-47 to 4-50 of the thesis: constants of the force linear in temperature",
     standard="a thermometer on the muscle",
+    of_braid=True,
     plant=InPlant(slots=_slots, scale=_scale),
     diagnosis=InDiagnosis(force=_force),
     search=Search(

@@ -1,0 +1,228 @@
+"""A cylinder as the nominal plant: SciPy integrates one, and the diagnosis is asked what it lacks.
+
+The chamber is the piston's area times the length of the chamber, and a dead volume; the cylinder
+pushes with area times pressure. Nothing of the package's braid is in it.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pytest
+from scipy.integrate import solve_ivp
+
+from gap.data.reader import read_dataset
+from gap.decision.diagnose import diagnose, diagnose_with_fit
+from gap.errors import GapError
+from gap.validation.improved_plant import improved_plant
+from gap.verdict import Status
+from plant.constants import nominal
+from plant.effects.effects import Effects
+from plant.errors import PlantError
+from plant.finger import FingerSim, load_finger
+from plant.simulator.bench import BenchSim
+from plant.simulator.simulate import commands, run_commands
+
+Array = npt.NDArray[np.float64]
+
+AREA = 201.06e-6
+"""16 mm bore, m2."""
+DEAD = 1.5e-6
+CONDUCTANCE = 2.5e-10
+ATMOSPHERE, SUPPLY = 101325.0, 651325.0
+CYLINDER: dict[str, object] = {
+    "actuator": "cylinder", "piston_area_mm2": 201.06, "length_min_mm": 5.0, "length_max_mm": 70.0,
+    "dead_volume_ml": 1.5, "inlet_conductance_m3_s_pa": CONDUCTANCE,
+    "outlet_conductance_m3_s_pa": CONDUCTANCE, "inlet_on_ms": 4.0, "inlet_off_ms": 4.0,
+    "outlet_on_ms": 4.0, "outlet_off_ms": 4.0, "inlet_on_ms_per_kpa": 0.0,
+    "inlet_off_ms_per_kpa": 0.0, "outlet_on_ms_per_kpa": 0.0, "outlet_off_ms_per_kpa": 0.0,
+}  # fmt: skip
+DELAY_S = 0.004
+PULSES = (
+    (0.2, 0.5, 1),
+    (0.9, 1.3, 1),
+    (1.8, 2.2, 1),
+    (2.8, 3.0, -1),
+    (3.5, 3.8, -1),
+    (4.4, 5.2, -1),
+)
+TIME = np.arange(0.0, 6.0, 0.005)
+
+
+def iso_6358(conductance: float, up: float, down: float) -> float:
+    """Mass flow in kg/s, critical ratio 0.5."""
+    if down >= up:
+        return 0.0
+    ratio = down / up
+    choked = 1.185 * conductance * up
+    return float(choked if ratio <= 0.5 else choked * np.sqrt(1.0 - ((ratio - 0.5) / 0.5) ** 2))
+
+
+def stage(middle_mm: float, swing_mm: float) -> Array:
+    """Length of the chamber in mm: held, or a triangle of 2 s."""
+    return middle_mm + swing_mm * (2.0 * np.abs(2.0 * np.mod(TIME / 2.0 + 0.25, 1.0) - 1.0) - 1.0)
+
+
+def pressure(length_mm: Array, area: float = AREA, leak: float = 0.0) -> Array:
+    """Gauge pressure in kPa of isothermal gas in a chamber whose piston is moved."""
+    times = np.unique([0.0, TIME[-1], *(e + DELAY_S for a, b, _ in PULSES for e in (a, b))])
+
+    def rate(t: float, y: Array, valve: int) -> list[float]:
+        length = float(np.interp(t, TIME, length_mm)) * 1e-3
+        speed = float(np.interp(t + 1e-4, TIME, length_mm) - np.interp(t, TIME, length_mm)) * 10.0
+        volume = area * length + DEAD
+        gained = iso_6358(CONDUCTANCE, SUPPLY, y[0]) if valve > 0 else 0.0
+        way_out = (CONDUCTANCE if valve < 0 else 0.0) + leak
+        # A chamber that is drawn below the atmosphere takes air in.
+        lost = iso_6358(way_out, y[0], ATMOSPHERE) - iso_6358(way_out, ATMOSPHERE, y[0])
+        return [(287.05 * 293.15 * (gained - lost) - y[0] * area * speed) / volume]
+
+    found, at = np.empty(len(TIME)), ATMOSPHERE
+    for begin, end in pairwise(times):
+        middle = 0.5 * (begin + end) - DELAY_S
+        valve = next((s for a, b, s in PULSES if a < middle < b), 0)
+        here = (begin <= TIME) & (end >= TIME)
+        solved = solve_ivp(rate, (begin, end), [at], args=(valve,), max_step=2e-3, rtol=1e-7,
+                           dense_output=True)  # fmt: skip
+        found[here] = solved.sol(TIME[here])[0]
+        at = float(solved.y[0, -1])
+    return np.asarray((found - ATMOSPHERE) * 1e-3)
+
+
+def seals(length_mm: Array) -> Array:
+    """Friction of the seals, -1 to 1: they bend by 0.1 mm either way, then slide (Dahl 1968)."""
+    bent = np.zeros(len(length_mm))
+    for k, step in enumerate(np.diff(length_mm), 1):
+        bent[k] = np.clip(bent[k - 1] + step / 0.1, -1.0, 1.0)
+    return bent
+
+
+def recorded(
+    folder: Path, area: float = AREA, leak: float = 0.0, friction_n: float = 0.0,
+    stated: dict[str, object] | None = None,
+) -> Path:  # fmt: skip
+    """Three held lengths and two moved ones, three replicates each, in the dataset format."""
+    rng = np.random.default_rng(3)
+    trials, samples = [], []
+    for slot, (middle, swing) in enumerate([(15, 0), (35, 0), (60, 0), (35, 1), (40, 25)]):
+        length = stage(middle, swing)
+        kpa = pressure(length, area, leak)
+        pull = -area * 1e3 * kpa + friction_n * seals(length)
+        told = [[float(any(a <= t < b and s == sign for a, b, s in PULSES)) for t in TIME]
+                for sign in (1, -1)]  # fmt: skip
+        for replicate in range(3):
+            name = f"{slot} {replicate}"
+            trials.append({"trial": name, "slot": str(slot), "replicate": replicate,
+                           "protocol": "triangle" if swing else "isometric",
+                           "held_length_mm": None if swing else middle,
+                           "order": len(trials) + 1})  # fmt: skip
+            zeros = 0.2 * rng.standard_normal(2)
+            columns = {
+                "trial": name, "time_s": TIME, "inlet_cmd": told[0], "outlet_cmd": told[1],
+                "pressure_kpa": kpa + zeros[0] + 0.3 * rng.standard_normal(len(TIME)),
+                "force_n": pull + 0.3 * zeros[1] + 0.1 * rng.standard_normal(len(TIME)),
+                "length_mm": length + 0.01 * rng.standard_normal(len(TIME)),
+            }  # fmt: skip
+            samples.append(pd.DataFrame(columns))
+    folder.mkdir(parents=True)
+    pd.DataFrame(trials).to_csv(folder / "trials.csv", index=False)
+    pd.concat(samples).to_csv(folder / "samples.csv", index=False)
+    lines = [f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {v}"
+             for k, v in (stated or CYLINDER).items()]  # fmt: skip
+    (folder / "bench.toml").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def test_the_bench_fills_a_cylinder_as_scipy_does() -> None:
+    c = nominal().with_overrides(CYLINDER)
+    edges = [(t, "inlet" if sign > 0 else "outlet", float(on)) for a, b, sign in PULSES
+             for t, on in ((a, 1.0), (b, 0.0))]  # fmt: skip
+    traces = run_commands(c, commands(edges), float(TIME[-1]), length_m=0.035, rate_hz=200.0)
+    expected = pressure(stage(35.0, 0.0))
+    assert np.ptp(expected) > 300.0
+    assert traces.pressure_kpa == pytest.approx(expected, abs=0.05)
+    assert traces.force_n == pytest.approx(-AREA * 1e3 * traces.pressure_kpa, abs=0.001)
+
+
+def test_a_sealed_cylinder_is_a_gas_spring() -> None:
+    sim = BenchSim(nominal().with_overrides(CYLINDER), length_m=0.030)
+    sim.set_pressure(200.0)
+    sim.set_length_rate(-10.0)
+    sim.advance(1.0)
+    gas = (ATMOSPHERE + 2e5) * (AREA * 0.030 + DEAD)
+    assert sim.length_mm == pytest.approx(20.0)
+    expected = (gas / (AREA * 0.020 + DEAD) - ATMOSPHERE) * 1e-3
+    assert sim.pressure_kpa == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_cylinder_as_stated_has_no_gap(tmp_path: Path) -> None:
+    data = read_dataset(recorded(tmp_path / "set"))
+    assert not data.notes
+    assert diagnose(data).status is Status.NO_GAP_ABOVE_FLOOR
+
+
+def test_friction_of_the_seals_is_named_and_gone_from_the_improved_cylinder(
+    tmp_path: Path,
+) -> None:
+    folder = recorded(tmp_path / "set", friction_n=3.0)
+    verdict, problem, fit = diagnose_with_fit(read_dataset(folder))
+    assert verdict.sure == ("braid_friction",)
+    found = verdict.effects[0].parameters["friction_n"]
+    assert found.value == pytest.approx(3.0, rel=0.1)
+    assert problem is not None
+    assert fit is not None
+    (folder / "bench.toml").write_text(improved_plant(problem, fit))
+    improved = read_dataset(folder)
+    assert improved.constants.actuator == "cylinder"
+    assert "braid_friction" not in diagnose(improved).sure
+
+
+def test_a_leak_of_a_cylinder_is_named(tmp_path: Path) -> None:
+    verdict = diagnose(read_dataset(recorded(tmp_path / "set", leak=2e-12)))
+    assert verdict.sure == ("leak",)
+    found = verdict.effects[0].parameters["conductance_m3_s_pa"]
+    assert found.value == pytest.approx(2e-12, rel=0.1)
+
+
+def test_another_bore_is_no_effect_of_a_muscle(tmp_path: Path) -> None:
+    verdict = diagnose(read_dataset(recorded(tmp_path / "set", area=1.3 * AREA)))
+    assert verdict.status is Status.NOMINAL_UNFIT
+    assert "piston_area_mm2" in str(verdict.reason)
+
+
+def test_a_push_read_as_a_pull_is_remarked(tmp_path: Path) -> None:
+    folder = recorded(tmp_path / "set")
+    rows = pd.read_csv(folder / "samples.csv")
+    rows.assign(force_n=-rows["force_n"]).to_csv(folder / "samples.csv", index=False)
+    assert any("a cylinder pushes" in note for note in read_dataset(folder).notes)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"piston_area_mm2": None}, "needs piston_area_mm2"),
+        ({"length_max_mm": None}, "needs length_max_mm"),
+        ({"braid_length_mm": 80.0}, "braid_length_mm is of a braid"),
+        ({"actuator": None}, "piston_area_mm2 is of a cylinder alone"),
+        ({"actuator": "bellows"}, "actuator = 'bellows'"),
+        ({"piston_area_mm2": 0.0}, "piston_area_mm2"),
+    ],
+)
+def test_half_a_cylinder_is_refused(tmp_path: Path, changed: dict[str, object], said: str) -> None:
+    stated = {k: v for k, v in {**CYLINDER, **changed}.items() if v is not None}
+    folder = recorded(tmp_path / "set", stated=stated)
+    with pytest.raises(GapError, match=said):
+        read_dataset(folder)
+
+
+def test_what_is_of_a_braid_is_refused() -> None:
+    c = nominal().with_overrides(CYLINDER)
+    effects = Effects.from_config({"fibre_stretch": {"stretch_percent": 1.0}})
+    with pytest.raises(PlantError, match=r"fibre_stretch: an effect of a braid"):
+        BenchSim(c, effects)
+    with pytest.raises(PlantError, match="a finger has muscles"):
+        FingerSim(load_finger(), c)
