@@ -262,9 +262,11 @@ class Verdict:
         status: whether the data fit, an effect was found, or nothing can be said.
         reason: why the status is what it is.
         stage: of the chain at which simulation and measurement disagree; None for none.
-        effects: the effects found, each with probability and parameters.
-        probability_none: that no effect of the catalogue acts.
-        probability_unknown: that something acts which is not in the catalogue.
+        effects: the effects found, each with parameters and the probability that these are all:
+            what is named first, else the likeliest.
+        probability_none: that no effect acts.
+        probability_unknown: that something else acts: an effect that is not in the catalogue, other
+            effects of it than those stated, or one too small to be seen.
         gap: of the channel that shows the effect best above its floor; decisions rest on it.
         stages: share of each stage in the gap.
         contrasts: tests between groups of trials, with their z values.
@@ -296,6 +298,18 @@ class Verdict:
     empirical: EmpiricalTerm | None = None
     channels: tuple[Gap, ...] = ()
     sure: tuple[str, ...] = ()
+
+    def label(self, effect: Explanation) -> str:
+        """Ids of an explanation as text; of what is there in any case, that it is alone."""
+        alone = " alone" if self.leads and effect is self.effects[0] else ""
+        return " + ".join(effect.ids) + alone
+
+    @property
+    def leads(self) -> bool:
+        """Whether the first explanation is what is named, and others hold more."""
+        return self.status is Status.NAMED_FORM_INADEQUATE and any(
+            set(self.effects[0].ids) < set(other.ids) for other in self.effects[1:]
+        )
 
     @property
     def headline_gap(self) -> Gap | None:

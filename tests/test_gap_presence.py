@@ -102,6 +102,24 @@ def test_where_the_whole_is_refused_an_effect_that_is_only_likely_is_offered_not
     assert "bladder_elasticity fits best, but" in str(found.reason)
 
 
+def test_what_is_named_in_any_case_is_seldom_all_there_is(two: _Case) -> None:
+    """Where effects were sure (0.95), they were all there was in 12 of 29 sets."""
+    first, other = two.search.best.fit.ids
+    found = _by_presence(two, refused(two), two.search, {first: 0.96, other: 0.7})[1]
+    assert found.sure == (first,)
+    probability = {hypothesis.fit.ids: p for hypothesis, p in found.entries}
+    # Half of what the explanation as a whole has for something unknown stays.
+    unknown = max(0.04, 0.5 * two.reliability["unknown"])
+    assert probability[first,] == pytest.approx(0.3 * (1.0 - unknown))
+    assert probability[first, other] == pytest.approx(0.7 * (1.0 - unknown))
+    assert found.unknown == pytest.approx(unknown)
+    # The named one leads all the same, and is what the report calls alone.
+    explanations = decision._explanations(two.problem, two.config, found)
+    assert [one.ids for one in explanations] == [(first,), (first, other)]
+    verdict = Verdict(found.status, found.reason, None, tuple(explanations), 0.0, 0.1)
+    assert [verdict.label(one) for one in explanations] == [f"{first} alone", f"{first} + {other}"]
+
+
 def test_an_effect_that_is_rather_not_there_is_not_named_with_the_rest(two: _Case) -> None:
     whole = replace(refused(two), status=Status.NAMED)
     odds = {"bladder_elasticity": 0.8, "leak": 0.3}

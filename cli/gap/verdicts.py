@@ -242,7 +242,7 @@ def _rig_of(data: Path) -> str:
 def _separated(verdict: Verdict, experiment: Experiment) -> bool:
     """Whether the data tell the best explanation from its nearest rival already."""
     named = verdict.status in (Status.NAMED, Status.NAMED_FORM_INADEQUATE)
-    return named and experiment.separation_now >= DESIGN.enough_sd
+    return named and not verdict.leads and experiment.separation_now >= DESIGN.enough_sd
 
 
 def _next_text(verdict: Verdict, written: str | None, rig: str) -> list[str]:
@@ -279,9 +279,9 @@ def _verdict_text(verdict: Verdict) -> list[str]:
         lines.append(f"stage       {verdict.stage}")
     for effect in verdict.effects:
         values = ", ".join(_estimate(name, e) for name, e in effect.parameters.items())
-        lines.append(f"  {100 * effect.probability:3.0f} %  {' + '.join(effect.ids)}  {values}")
+        lines.append(f"  {100 * effect.probability:3.0f} %  {verdict.label(effect)}  {values}")
     lines.append(f"  {100 * verdict.probability_none:3.0f} %  no gap")
-    lines.append(f"  {100 * verdict.probability_unknown:3.0f} %  not in the catalogue")
+    lines.append(f"  {100 * verdict.probability_unknown:3.0f} %  something else")
     notes = [f"note        {note}" for note in verdict.notes]
     return [
         *lines, *_gap_text(verdict), *empirical_lines(verdict), *_where_text(verdict), *notes

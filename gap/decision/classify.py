@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 
@@ -137,6 +138,8 @@ class _Finding:
     confounders: list[Confounder] = field(default_factory=list)
     evidence: dict[str, object] = field(default_factory=dict)
     sure: tuple[str, ...] = ()
+    leads: bool = False
+    """Whether the first entry comes first although another may be more probable."""
 
 
 def classify(
@@ -227,6 +230,7 @@ def _unexplained(case: _Case) -> _Finding:
     best = max(search.first_gain.values(), default=0.0)
     unknown = 0.02 + 0.2 * min(unseen / config.unexplained_per_row, 1.0) ** 2
     none = (1.0 - unknown) * (1.0 - 0.15 * min(best / SELECTION.least_gain, 1.0))
+    none *= 1.0 - config.too_small
     return _Finding(Status.NO_GAP_ABOVE_FLOOR, Reason(Cause.NO_GAP), none, 1.0 - none)
 
 
@@ -482,6 +486,7 @@ def _partly(
     probability = float(np.prod([odds[name] for name in named]))
     several = Cause.PARTLY_SEVERAL if len(named) > 1 else Cause.PARTLY
     share = 100 * part.share
+    entries = _all_there_is(case, search.best, odds)
     why = reason(
         Cause.PARTLY_OPEN if undetermined else several, names=" and ".join(named),
         percent=100 * probability, share=share, rest=rest_of(share),
@@ -492,11 +497,42 @@ def _partly(
         status=Status.NAMED_FORM_INADEQUATE,
         reason=why,
         stage=CATALOGUE[named[0]].stage,
-        entries=[(search.best, probability * (1.0 - finding.none))],
-        unknown=(1.0 - probability) * (1.0 - finding.none),
+        entries=[(hypothesis, p * (1.0 - finding.none)) for hypothesis, p in entries],
+        unknown=(1.0 - sum(p for _, p in entries)) * (1.0 - finding.none),
         confounders=[],
+        leads=True,
         sure=named,
     )
+
+
+def _all_there_is(
+    case: _Case, named: Hypothesis, odds: Mapping[str, float]
+) -> list[tuple[Hypothesis, float]]:
+    """What is named, alone and with others that were found: the probability that it is all.
+
+    That an effect is there does not say that no other is. Each is there or not by its own
+    probability; what is named comes first, and of the rest the likeliest. The whole is as probable
+    as that what is named is there, or less where all of it may stand for something unknown.
+    """
+    config, whole = case.config, case.search.best
+    there = float(np.prod([odds[name] for name in named.fit.ids]))
+    beyond = max(1.0 - there, config.beyond_presence * case.reliability["unknown"])
+    others = [name for name in whole.fit.ids if name not in named.fit.ids]
+    sets = {
+        with_these: float(np.prod([odds[n] if n in with_these else 1.0 - odds[n] for n in others]))
+        for count in range(len(others) + 1)
+        for with_these in combinations(others, count)
+    }
+    made = [(named, (1.0 - beyond) * sets.pop(()))]
+    for more in sorted(sets, key=lambda one: -sets[one])[: config.sets_beside]:
+        p = (1.0 - beyond) * sets[more]
+        if p < config.least_probability:
+            break
+        kept = (*named.fit.ids, *more)
+        all_of_it = len(kept) == len(whole.fit.ids)
+        search = case.search if all_of_it else only_effects(case.problem, case.search, kept)
+        made.append((search.best, p))
+    return made
 
 
 def _undetermined(case: _Case, fit: FitResult) -> tuple[str, ...]:
@@ -703,6 +739,8 @@ def _to_tell_apart(case: _Case, finding: _Finding) -> list[FitResult]:
     if not finding.entries:
         return []
     others = [hypothesis.fit for hypothesis, _ in finding.entries[1:]]
+    if finding.leads:
+        others = others[:1]  # whether what is likeliest beside it acts as well
     others += [case.problem.fit_effects(confounder.ids) for confounder in finding.confounders]
     return others or [c.fit for c in case.search.rivals[:1]]
 
@@ -729,7 +767,8 @@ def _explanations(
             made[frozenset(confounder.ids)] = Explanation(
                 confounder.ids, _families(confounder.ids), p, {}
             )
-    return sorted(made.values(), key=lambda e: -e.probability)
+    first = next(iter(made), frozenset()) if finding.leads else frozenset()
+    return sorted(made.values(), key=lambda e: (set(e.ids) != first, -e.probability))
 
 
 def _families(ids: tuple[str, ...]) -> str:

@@ -99,7 +99,7 @@ def _next(verdict: Verdict) -> str:
 def _explanations(verdict: Verdict) -> list[dict[str, str]]:
     rows = [
         {
-            "what": " + ".join(effect.ids),
+            "what": verdict.label(effect),
             "family": effect.family.replace("_", " "),
             "probability": _percent(effect.probability),
             "parameters": "; ".join(

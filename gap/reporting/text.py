@@ -53,7 +53,9 @@ def headline(verdict: Verdict) -> str:
         case "named_form_inadequate" if verdict.reason.cause is Cause.PARTLY_OPEN:
             return sentence(str(verdict.reason))
         case "named_form_inadequate" if verdict.reason.cause in PARTS:
-            share = f", {100 * best.probability:.0f} % sure{closed}"
+            percent = verdict.reason.values["percent"]
+            assert isinstance(percent, float)
+            share = f", {percent:.0f} % sure{closed}"
             return sentence(
                 f"{what}{_in_brackets(values)} act{'s' if len(best.ids) == 1 else ''}, whatever "
                 f"else does{share}; {verdict.reason.values['rest']} is not known"
