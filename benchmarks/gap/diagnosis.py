@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -39,30 +38,16 @@ def one_set(number: int) -> dict[str, dict[str, Any]]:
         found[OURS] = {**score(truth, verdict), "cpu_s": verdict["seconds"]}
         begin = time.process_time()
         try:
-            features = baselines.features(folder, one.without)
+            methods = baselines.methods(baselines.problem_of(folder, one.without))
         except Exception:  # as the blind check has it: a method that cannot read has no say
             return found
         shared = time.process_time() - begin
-        for name, select in _selections(features).items():
+        for name, verdict_by in methods.items():
             begin = time.process_time()
-            keys = select()
+            verdict = verdict_by()
             took = shared + time.process_time() - begin
-            found[name] = {**score(truth, baselines.verdict_of(keys)), "cpu_s": took}
+            found[name] = {**score(truth, verdict), "cpu_s": took}
     return found
-
-
-def _selections(f: Any) -> dict[str, Callable[[], list[tuple[str, str]]]]:
-    from gap.check.scoring import baselines
-
-    def at(index: int | None) -> list[tuple[str, str]]:
-        return [] if index is None else [f.keys[index]]
-
-    return {
-        "BIC, independent errors": lambda: at(baselines.by_bic(f)),
-        "random cross-validation": lambda: at(baselines.by_random_folds(f)),
-        "sparse regression": lambda: [f.keys[j] for j in baselines.by_sparse_regression(f)],
-        "always friction": lambda: [("braid_friction", "friction")],
-    }
 
 
 def measure(tiny: bool = False) -> dict[str, Any]:

@@ -71,8 +71,8 @@ class DecisionConfig:
     beside_constant: float = -2.9
     """Log odds that an effect is there beside one or two that are named, where its presence by
     itself is 1/2, and by how much they rise with its own log odds: it may only correct their form.
-    Set on: those practice sets, up to 60499 and 61500, where 9 of 51 such effects were there (6 of
-    20 between 0.7 and 0.9)."""
+    Set on: practice sets 60000 to 60542 and 61020 to 61554, where 9 of 51 such effects were there
+    (6 of 20 between 0.7 and 0.9)."""
     beside_slope: float = 1.7
     sets_beside: int = 3
     """Sets of further effects beside those that are named, of which a verdict states the

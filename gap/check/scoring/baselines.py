@@ -2,19 +2,23 @@
 
 Each gets the same features, nominal constants and signatures as the diagnosis, and does with
 them what is usually done: independent errors and BIC, random cross-validation, sequentially
-thresholded least squares (Brunton, Proctor and Kutz, PNAS 113 (2016) 3932), or a fixed guess.
+thresholded least squares (Brunton, Proctor and Kutz, PNAS 113 (2016) 3932), or a fixed guess. One
+gets the noise of the replicates as well: a posterior over effects with a model discrepancy
+(`spike_and_slab`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gap.check.scoring.spike_and_slab import by_posterior
 from gap.data.reader import read_dataset
+from gap.decision.diagnose import candidates_without
 from gap.estimation.fit_problem import FitProblem
 from gap.model.sensitivities import candidate_columns
 from plant.effects.catalogue import CATALOGUE
@@ -39,10 +43,9 @@ class Features:
     keys: tuple[tuple[str, str], ...]
 
 
-def features(folder: Path, without: Sequence[str]) -> Features:
-    """Read a folder into rows; what the diagnosis itself compares, before any weighting."""
-    problem = FitProblem.of(read_dataset(folder))
-    allowed = [s for s in problem.candidates if not s.defect and s.id not in without]
+def features(problem: FitProblem) -> Features:
+    """The rows of a data set: what the diagnosis itself compares, before any weighting."""
+    allowed = [s for s in problem.candidates if not s.defect]
     columns = candidate_columns(
         problem.model, problem.data.constants, problem.stated_effects, allowed
     )
@@ -141,18 +144,39 @@ def stage_of(name: str) -> str:
     return str(CATALOGUE[name].stage)
 
 
-def baseline_verdicts(folder: Path, without: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Verdicts of all baselines on one folder; empty where the features cannot be had."""
-    friction = next(e for e in CATALOGUE.values() if e.family == "friction")
-    always = verdict_of([(friction.id, friction.family)])
-    try:
-        f = features(folder, without)
-    except Exception:  # a baseline that cannot read the data has nothing to say
-        return {"always friction": always}
-    bic, folds, sparse = by_bic(f), by_random_folds(f), by_sparse_regression(f)
+def problem_of(folder: Path, without: Sequence[str]) -> FitProblem:
+    """A data set as the diagnosis has it before its search."""
+    return FitProblem.of(read_dataset(folder), candidates_without(without))
+
+
+def methods(problem: FitProblem) -> dict[str, Callable[[], dict[str, Any]]]:
+    """What gives each baseline's verdict, by name."""
+    f = features(problem)
+
+    def named(indices: Sequence[int | None]) -> dict[str, Any]:
+        return verdict_of([f.keys[j] for j in indices if j is not None])
+
     return {
-        "BIC, independent errors": verdict_of([] if bic is None else [f.keys[bic]]),
-        "random cross-validation": verdict_of([] if folds is None else [f.keys[folds]]),
-        "sparse regression": verdict_of([f.keys[j] for j in sparse]),
-        "always friction": always,
+        "BIC, independent errors": lambda: named([by_bic(f)]),
+        "random cross-validation": lambda: named([by_random_folds(f)]),
+        "sparse regression": lambda: named(by_sparse_regression(f)),
+        "posterior with discrepancy": lambda: by_posterior(problem),
+        ALWAYS: always_friction,
     }
+
+
+ALWAYS = "always friction"
+
+
+def always_friction() -> dict[str, Any]:
+    """The fixed guess."""
+    friction = next(e for e in CATALOGUE.values() if e.family == "friction")
+    return verdict_of([(friction.id, friction.family)])
+
+
+def baseline_verdicts(folder: Path, without: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Verdicts of all baselines on one folder; the guess alone where the data cannot be read."""
+    try:
+        return {name: made() for name, made in methods(problem_of(folder, without)).items()}
+    except Exception:  # a baseline that cannot read the data has nothing to say
+        return {ALWAYS: always_friction()}
