@@ -17,6 +17,7 @@ from scipy.integrate import solve_ivp
 
 from gap.data.reader import read_dataset
 from gap.decision.diagnose import diagnose, diagnose_with_fit
+from gap.design.library import library_experiments
 from gap.errors import GapError
 from gap.validation.improved_plant import improved_plant
 from gap.verdict import Status
@@ -175,6 +176,8 @@ def test_friction_of_the_seals_is_named_and_gone_from_the_improved_cylinder(
     assert found.value == pytest.approx(3.0, rel=0.1)
     assert problem is not None
     assert fit is not None
+    assert {one.protocol for one in library_experiments(problem, fit)} >= {"isobaric", "step"}
+    assert "isotonic" not in {one.protocol for one in library_experiments(problem, fit)}
     (folder / "bench.toml").write_text(improved_plant(problem, fit))
     improved = read_dataset(folder)
     assert improved.constants.actuator == "cylinder"

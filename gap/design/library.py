@@ -120,9 +120,11 @@ def library_experiments(problem: FitProblem, best: FitResult) -> list[LibraryExp
             [_bursts(bench, lengths[1])],
         ),
     ]  # fmt: skip
+    pulls = problem.data.constants.actuator == "muscle"  # a cylinder does not lift what hangs
     return [
         LibraryExperiment(protocol, what, settings, tuple(trials), _minutes(trials))
         for protocol, what, settings, trials in made
+        if pulls or protocol != "isotonic"
     ]
 
 
