@@ -333,6 +333,11 @@ def _check_actuator(
                 f"{origin}: piston_area_mm2 is of a cylinder alone; "
                 'state actuator = "cylinder", or leave it out'
             )
+        for name in _BRAID:
+            if before.actuator == "cylinder" and name not in stated:
+                raise PlantError(
+                    f'{origin}: actuator = "muscle" in place of a cylinder needs {name}'
+                )
         return
     for name in _BRAID:
         if name in stated:

@@ -224,6 +224,8 @@ def test_half_a_cylinder_is_refused(tmp_path: Path, changed: dict[str, object], 
 
 def test_what_is_of_a_braid_is_refused() -> None:
     c = nominal().with_overrides(CYLINDER)
+    with pytest.raises(PlantError, match="in place of a cylinder needs braid_length_mm"):
+        c.with_overrides({"actuator": "muscle"})
     effects = Effects.from_config({"fibre_stretch": {"stretch_percent": 1.0}})
     with pytest.raises(PlantError, match=r"fibre_stretch: an effect of a braid"):
         BenchSim(c, effects)

@@ -205,7 +205,9 @@ def _range(table: Table, name: str, value: Array, constants: PlantConstants) -> 
             expected = "expected 0 to 1, the share of the whole opening"
     else:
         size = size_of(constants) * 1e3
-        limits = {"length_mm": (size / 30.0, 10.0 * size)}
+        # The piston of a cylinder may stand at its cover.
+        least = 0.0 if constants.actuator == "cylinder" else size / 30.0
+        limits = {"length_mm": (least, 10.0 * size)}
         limits["held_length_mm"] = limits["length_mm"]
         low, high = limits.get(name, _LIMITS.get(name, (-np.inf, np.inf)))
         bad = (value < low) | (value > high)
