@@ -210,9 +210,8 @@ def _entry(effect: dict[str, Any]) -> str:
         for name, e in effect["parameters"].items()
         if e["low"] is not None
     )
-    return f"{' + '.join(effect['ids'])}, {100 * effect['probability']:.0f} %" + (
-        f": {values}" if values else ""
-    )
+    share = f"{100 * effect['probability']:.0f} %"
+    return f"{' + '.join(effect['ids'])} and no other, {share}" + (f": {values}" if values else "")
 
 
 def main() -> int:
