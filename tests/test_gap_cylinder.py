@@ -102,10 +102,13 @@ def seals(length_mm: Array) -> Array:
     return bent
 
 
-def recorded(
-    folder: Path, area: float = AREA, leak: float = 0.0, friction_n: float = 0.0,
-    stated: dict[str, object] | None = None,
-) -> Path:  # fmt: skip
+def write_bench(folder: Path, stated: dict[str, object]) -> None:
+    """State the constants of a bench."""
+    lines = [f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {v}" for k, v in stated.items()]
+    (folder / "bench.toml").write_text("\n".join(lines) + "\n")
+
+
+def recorded(folder: Path, area: float = AREA, leak: float = 0.0, friction_n: float = 0.0) -> Path:
     """Three held lengths and two moved ones, three replicates each, in the dataset format."""
     rng = np.random.default_rng(3)
     trials, samples = [], []
@@ -132,9 +135,7 @@ def recorded(
     folder.mkdir(parents=True)
     pd.DataFrame(trials).to_csv(folder / "trials.csv", index=False)
     pd.concat(samples).to_csv(folder / "samples.csv", index=False)
-    lines = [f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {v}"
-             for k, v in (stated or CYLINDER).items()]  # fmt: skip
-    (folder / "bench.toml").write_text("\n".join(lines) + "\n")
+    write_bench(folder, CYLINDER)
     return folder
 
 
@@ -181,7 +182,22 @@ def test_friction_of_the_seals_is_named_and_gone_from_the_improved_cylinder(
     (folder / "bench.toml").write_text(improved_plant(problem, fit))
     improved = read_dataset(folder)
     assert improved.constants.actuator == "cylinder"
-    assert "braid_friction" not in diagnose(improved).sure
+    again = diagnose(improved)
+    assert "braid_friction" not in again.sure
+    assert verdict.headline_gap is not None
+    assert again.headline_gap is not None
+    assert again.headline_gap.recalibrated < 0.1 * verdict.headline_gap.recalibrated
+
+
+def test_seals_hold_what_they_are_pushed_with_whatever_the_pressure() -> None:
+    effects = Effects.from_config({"braid_friction": {"friction_n": 4.0, "travel_mm": 0.1}})
+    for kpa in (50.0, 300.0):
+        sim = BenchSim(nominal().with_overrides(CYLINDER), effects)
+        sim.set_pressure(kpa)
+        for rate, held in ((5.0, 4.0), (-5.0, -4.0), (0.0, -4.0)):
+            sim.set_length_rate(rate)
+            sim.advance(0.5)
+            assert sim.force_n + AREA * 1e3 * sim.pressure_kpa == pytest.approx(held, abs=0.01)
 
 
 def test_a_leak_of_a_cylinder_is_named(tmp_path: Path) -> None:
@@ -216,10 +232,9 @@ def test_a_push_read_as_a_pull_is_remarked(tmp_path: Path) -> None:
     ],
 )
 def test_half_a_cylinder_is_refused(tmp_path: Path, changed: dict[str, object], said: str) -> None:
-    stated = {k: v for k, v in {**CYLINDER, **changed}.items() if v is not None}
-    folder = recorded(tmp_path / "set", stated=stated)
+    write_bench(tmp_path, {k: v for k, v in {**CYLINDER, **changed}.items() if v is not None})
     with pytest.raises(GapError, match=said):
-        read_dataset(folder)
+        read_dataset(tmp_path)
 
 
 def test_what_is_of_a_braid_is_refused() -> None:

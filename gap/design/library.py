@@ -71,7 +71,9 @@ def library_experiments(problem: FitProblem, best: FitResult) -> list[LibraryExp
     lengths = [round(low + share * (high - low), 1) for share in (0.05, 0.45, 0.85)]
     levels = [round(share * top, -1) for share in (0.15, 0.3, 0.5, 0.75, 1.0)]
     two = [levels[1], levels[4]]
-    masses = [round(kg, 2) for kg in bench.kg]
+    # A cylinder does not lift what hangs.
+    pulls = problem.data.constants.actuator == "muscle"
+    masses = [round(kg, 2) for kg in bench.kg] if pulls else []
     made: list[tuple[str, str, dict[str, Any], list[Trial]]] = [
         (
             "isometric", "pressures at short, middle and long length",
@@ -120,11 +122,10 @@ def library_experiments(problem: FitProblem, best: FitResult) -> list[LibraryExp
             [_bursts(bench, lengths[1])],
         ),
     ]  # fmt: skip
-    pulls = problem.data.constants.actuator == "muscle"  # a cylinder does not lift what hangs
     return [
         LibraryExperiment(protocol, what, settings, tuple(trials), _minutes(trials))
         for protocol, what, settings, trials in made
-        if pulls or protocol != "isotonic"
+        if trials
     ]
 
 

@@ -678,6 +678,8 @@ def _stated_effects(data: DataSet) -> Active:
     for name, table in data.effects.values.items():
         entry = CATALOGUE[name]
         shape = next(s.shape for s in CANDIDATES if s.id == name)
+        if entry.diagnosis.stated is not None:
+            shape = entry.diagnosis.stated(shape, table, data.constants)
         option = next((str(v) for v in table.values() if isinstance(v, str)), "")
         made.append((name, option, entry.amount(table, data.constants), shape))
     return made

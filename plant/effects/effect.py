@@ -155,6 +155,8 @@ class InDiagnosis:
         gas_in_trial: (params, amount, trial) adds to what one trial alone has of it; for effects
             that may differ between replicates.
         late: (amount, constants) -> s by which each stroke of the effect's edge is late.
+        stated: (shape, parameters, constants) -> the shape in which a plant file states the effect;
+            None: the first.
         largest_fall: whether the headline parameter is the largest fall of the supply in the
             data, which the prediction gives, and not the amount.
     """
@@ -167,6 +169,7 @@ class InDiagnosis:
     shortened: Callable[[Array, float, Shape, PlantConstants], Array] | None = None
     stretch: Callable[[Array, Array, float, Shape, PlantConstants], Array] | None = None
     force: Callable[[Points, Array, Array, Array, Shape, Context], Array] | None = None
+    stated: Callable[[Shape, Values, PlantConstants], Shape] | None = None
     at_rest: bool = False
     force_linearity: Callable[[Array, float, Shape, Context], Array] | None = None
     pressure_linearity: Callable[[Array, float, Shape, Context], Array] | None = None

@@ -42,7 +42,7 @@ def _transient(
     pull: Array, state: Params, params: Params, p: Array, length: Array, rate: Array
 ) -> Array:
     """Exact whatever the step, as long as the path between does not turn."""
-    if params[FORCE] == 0.0 or p <= 0.0:
+    if params[FORCE] == 0.0 or (p <= 0.0 and params[TRAVEL_PRESSURE] < _NO_SLIP_PA):
         return pull
     travel = (p - state[PRESSURE]) / params[TRAVEL_PRESSURE]
     travel -= (length - state[LENGTH]) / params[TRAVEL_LENGTH]
@@ -50,7 +50,9 @@ def _transient(
     for i in range(SLIP_ELEMENTS):
         total += element_slip(state[SLIP + i], travel, i)
     slip = total / SLIP_ELEMENTS
-    return pull - params[FORCE] * p / MIDDLE_PRESSURE_PA * slip
+    # What presses a seal of a cylinder is its squeeze, not the pressure of the gas.
+    pressed = 1.0 if params[TRAVEL_PRESSURE] == _NO_SLIP_PA else p / MIDDLE_PRESSURE_PA
+    return pull - params[FORCE] * pressed * slip
 
 
 def _slide(state: Params, params: Params, dp: float, dlength: float) -> None:
@@ -63,8 +65,20 @@ def _slide(state: Params, params: Params, dp: float, dlength: float) -> None:
 def _stiffness(bound: float, params: Params, p: float, length: float) -> float:
     if params[FORCE] != 0.0:
         first = params[TRAVEL_LENGTH] * 2.0 ** (1 - SLIP_ELEMENTS)
-        return float(bound + abs(params[FORCE] * abs(p) / MIDDLE_PRESSURE_PA) / first)
+        pressed = abs(p) / MIDDLE_PRESSURE_PA
+        if params[TRAVEL_PRESSURE] == _NO_SLIP_PA:
+            pressed = 1.0
+        return float(bound + abs(params[FORCE] * pressed) / first)
     return bound
+
+
+def _stated(shape: Shape, values: Values, c: PlantConstants) -> Shape:
+    return {
+        **shape,
+        "kpa": float(values["travel_kpa"]),
+        "mm": float(values["travel_mm"]),
+        "pressure": 0.0 if c.actuator == "cylinder" else 1.0,
+    }
 
 
 def _force(
@@ -104,7 +118,7 @@ BRAID_FRICTION = Effect(
     source="Iwan 1966; Davis and Caldwell 2006; Vo-Minh et al. 2010",
     standard="none needed: a slow loop of pressure at one length",
     plant=InPlant(slots=_slots, transient=_transient, slide=_slide, stiffness=_stiffness),
-    diagnosis=InDiagnosis(force=_force),
+    diagnosis=InDiagnosis(force=_force, stated=_stated),
     search=Search(
         step=0.5,
         sign=1,
