@@ -6,6 +6,7 @@ pushes with area times pressure. Nothing of the package's braid is in it.
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -68,8 +69,10 @@ def stage(middle_mm: float, swing_mm: float) -> Array:
     return middle_mm + swing_mm * (2.0 * np.abs(2.0 * np.mod(TIME / 2.0 + 0.25, 1.0) - 1.0) - 1.0)
 
 
-def pressure(length_mm: Array, area: float = AREA, leak: float = 0.0) -> Array:
-    """Gauge pressure in kPa of isothermal gas in a chamber whose piston is moved."""
+@cache
+def pressure(middle_mm: float, swing_mm: float, area: float = AREA, leak: float = 0.0) -> Array:
+    """Gauge pressure in kPa of isothermal gas in a chamber whose piston is held or moved."""
+    length_mm = stage(middle_mm, swing_mm)
     times = np.unique([0.0, TIME[-1], *(e + DELAY_S for a, b, _ in PULSES for e in (a, b))])
 
     def rate(t: float, y: Array, valve: int) -> list[float]:
@@ -114,7 +117,7 @@ def recorded(folder: Path, area: float = AREA, leak: float = 0.0, friction_n: fl
     trials, samples = [], []
     for slot, (middle, swing) in enumerate([(15, 0), (35, 0), (60, 0), (35, 1), (40, 25)]):
         length = stage(middle, swing)
-        kpa = pressure(length, area, leak)
+        kpa = pressure(middle, swing, area, leak)
         pull = -area * 1e3 * kpa + friction_n * seals(length)
         told = [[float(any(a <= t < b and s == sign for a, b, s in PULSES)) for t in TIME]
                 for sign in (1, -1)]  # fmt: skip
@@ -144,7 +147,7 @@ def test_the_bench_fills_a_cylinder_as_scipy_does() -> None:
     edges = [(t, "inlet" if sign > 0 else "outlet", float(on)) for a, b, sign in PULSES
              for t, on in ((a, 1.0), (b, 0.0))]  # fmt: skip
     traces = run_commands(c, commands(edges), float(TIME[-1]), length_m=0.035, rate_hz=200.0)
-    expected = pressure(stage(35.0, 0.0))
+    expected = pressure(35, 0)
     assert np.ptp(expected) > 300.0
     assert traces.pressure_kpa == pytest.approx(expected, abs=0.05)
     assert traces.force_n == pytest.approx(-AREA * 1e3 * traces.pressure_kpa, abs=0.001)
