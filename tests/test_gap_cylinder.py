@@ -22,6 +22,7 @@ from gap.design.library import library_experiments
 from gap.errors import GapError
 from gap.validation.improved_plant import improved_plant
 from gap.verdict import Status
+from iso_6358 import mass_flow
 from plant.constants import nominal
 from plant.effects.effects import Effects
 from plant.errors import PlantError
@@ -55,15 +56,6 @@ PULSES = (
 TIME = np.arange(0.0, 6.0, 0.005)
 
 
-def iso_6358(conductance: float, up: float, down: float) -> float:
-    """Mass flow in kg/s, critical ratio 0.5."""
-    if down >= up:
-        return 0.0
-    ratio = down / up
-    choked = 1.185 * conductance * up
-    return float(choked if ratio <= 0.5 else choked * np.sqrt(1.0 - ((ratio - 0.5) / 0.5) ** 2))
-
-
 def stage(middle_mm: float, swing_mm: float) -> Array:
     """Length of the chamber in mm: held, or a triangle of 2 s."""
     return middle_mm + swing_mm * (2.0 * np.abs(2.0 * np.mod(TIME / 2.0 + 0.25, 1.0) - 1.0) - 1.0)
@@ -79,10 +71,10 @@ def pressure(middle_mm: float, swing_mm: float, area: float = AREA, leak: float 
         length = float(np.interp(t, TIME, length_mm)) * 1e-3
         speed = float(np.interp(t + 1e-4, TIME, length_mm) - np.interp(t, TIME, length_mm)) * 10.0
         volume = area * length + DEAD
-        gained = iso_6358(CONDUCTANCE, SUPPLY, y[0]) if valve > 0 else 0.0
+        gained = mass_flow(CONDUCTANCE, SUPPLY, y[0]) if valve > 0 else 0.0
         way_out = (CONDUCTANCE if valve < 0 else 0.0) + leak
         # A chamber that is drawn below the atmosphere takes air in.
-        lost = iso_6358(way_out, y[0], ATMOSPHERE) - iso_6358(way_out, ATMOSPHERE, y[0])
+        lost = mass_flow(way_out, y[0], ATMOSPHERE) - mass_flow(way_out, ATMOSPHERE, y[0])
         return [(287.05 * 293.15 * (gained - lost) - y[0] * area * speed) / volume]
 
     found, at = np.empty(len(TIME)), ATMOSPHERE

@@ -21,6 +21,7 @@ from gap.decision.diagnose import diagnose
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem
 from gap.model.features import BLOCKS
+from iso_6358 import mass_flow
 from plant.constants import PlantConstants, nominal
 from plant.effects.effects import Effects
 from plant.errors import PlantError
@@ -49,15 +50,6 @@ def volume(length_m: float, c: PlantConstants) -> float:
     return braid / (4.0 * np.pi * c.turns**2) + c.dead_volume_m3
 
 
-def iso_6358(conductance: float, up: float, down: float) -> float:
-    """Mass flow in kg/s, critical ratio 0.5."""
-    if down >= up:
-        return 0.0
-    ratio = down / up
-    choked = 1.185 * conductance * up
-    return float(choked if ratio <= 0.5 else choked * np.sqrt(1.0 - ((ratio - 0.5) / 0.5) ** 2))
-
-
 def spools(
     inlet: Command, outlet: Command, time_s: Array, length_m: float = 0.06,
     bands: tuple[float, float] = (0.05, 0.04), leak: float = 0.0,
@@ -67,8 +59,8 @@ def spools(
 
     def rate(_: float, y: Array, aims: Sequence[float]) -> list[float]:
         absolute, into, out = y[0] + ATMOSPHERE, y[1], y[2]
-        gained = iso_6358(FULL * into, SUPPLY, absolute)
-        lost = iso_6358(FULL * out + leak, absolute, ATMOSPHERE)
+        gained = mass_flow(FULL * into, SUPPLY, absolute)
+        lost = mass_flow(FULL * out + leak, absolute, ATMOSPHERE)
         return [heat * (gained - lost), *((aims - y[1:]) / 0.008)]
 
     # From one change of what the valves are told to the next, so that nothing jumps within a step.
