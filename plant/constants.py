@@ -108,9 +108,10 @@ _BRAID = ("braid_length_mm", "turns")
 PISTON_TOLERANCE = 0.01
 """Share (1 sd) by which a piston's area is known where nothing is stated: half a per cent of the
 bore."""
-_CYLINDER_TURNS = 1e4
+_CYLINDER_TURNS = 1e6
 """Turns of the braid that stands for a cylinder. Threads that run round it keep its diameter and
-carry nothing along it: the braid's formulas are those of a piston, to 1e-6."""
+carry nothing along it. The braid's formulas are those of a piston to 3 L^2 / b^2: 1e-6 for a piston
+of 1 mm2 and a chamber of 2 m, the extremes that can be stated."""
 
 
 @dataclass(frozen=True)

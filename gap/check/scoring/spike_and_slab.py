@@ -33,7 +33,7 @@ FORM = 0.2
 """Prior sd of the error of an effect's form, in units of the effect."""
 WAVES = 8
 """Cosines (Rahimi and Recht 2007) that carry a Gaussian process in each channel."""
-FURTHER = 1.0 / 30.0
+PRIOR_ODDS = 1.0 / 30.0
 """Prior odds of each effect."""
 NAMED = 0.7
 """Least probability of a set of effects that is named."""
@@ -140,7 +140,7 @@ def posterior(model: LinearModel) -> dict[tuple[str, ...], tuple[float, float]]:
 
     def consider(one: frozenset[int]) -> float:
         if one not in sets:
-            prior = len(one) * np.log(FURTHER)
+            prior = len(one) * np.log(PRIOR_ODDS)
             logs = [[prior + model.evidence(sorted(one), d, g) for g in (SIZES if one else (1.0,))]
                     for d in DISCREPANCIES]  # fmt: skip
             sets[one] = np.array([np.logaddexp.reduce(row) - np.log(len(row)) for row in logs])
