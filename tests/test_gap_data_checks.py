@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from gap.data.dataset import DataSet
-from gap.data.quality import unfit_channels, without_duplicates
+from gap.data.quality import unfit_channels
+from gap.data.repair import without_duplicates
 from gap.data.reader import read_dataset
 from gap.data.trial import Channel
 from gap.effects.candidates import CANDIDATES

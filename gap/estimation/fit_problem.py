@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.data.dataset import DataSet
-from gap.data.quality import without_duplicates
+from gap.data.repair import repaired
 from gap.effects.candidates import CANDIDATES, Candidate, single_labels
 from gap.effects.terms import OF_TRIAL, Active
 from gap.estimation.by_trial import effects_by_trial
@@ -119,7 +119,7 @@ class FitProblem:
     problem keeps the sensitivities that it computed last, and shares them with its variants.
 
     Attributes:
-        data: the data set, duplicate trials left out.
+        data: the data set, repaired (`gap.data.repair`).
         candidates: effects that a search may use.
         model: predicts every feature of the data.
         stated_effects: effects that the data set states; they are no gap.
@@ -150,7 +150,7 @@ class FitProblem:
     @classmethod
     def of(cls, data: DataSet, candidates: Sequence[Candidate] = CANDIDATES) -> FitProblem:
         """Learn the noise of a data set and recalibrate its constants."""
-        data = without_duplicates(data)
+        data = repaired(data)
         usable = _usable(data, candidates)
         model = Model(make_grid(data))
         stated = _stated_effects(data)
@@ -205,7 +205,7 @@ class FitProblem:
         cls, data: DataSet, state: ProblemState, candidates: Sequence[Candidate] = CANDIDATES
     ) -> FitProblem:
         """The problem that `of` made of the same data and candidates, from its state."""
-        data = without_duplicates(data)
+        data = repaired(data)
         return cls(
             data, _usable(data, candidates), Model(make_grid(data), state.around),
             [*_stated_effects(data), *state.by_trial], state.noise, state.names,
