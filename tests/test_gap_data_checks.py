@@ -10,8 +10,8 @@ import pytest
 
 from gap.data.dataset import DataSet
 from gap.data.quality import unfit_channels
-from gap.data.repair import without_duplicates
 from gap.data.reader import read_dataset
+from gap.data.repair import without_duplicates
 from gap.data.trial import Channel
 from gap.effects.candidates import CANDIDATES
 from gap.estimation.fit_problem import FitProblem

@@ -18,7 +18,8 @@ Array = npt.NDArray[np.float64]
 
 
 def noisy(value: npt.ArrayLike, sd: float, seed: int = 0) -> Array:
-    return np.asarray(np.asarray(value) + sd * np.random.default_rng(seed).standard_normal(np.shape(value)))
+    noise = np.random.default_rng(seed).standard_normal(np.shape(value))
+    return np.asarray(np.asarray(value) + sd * noise)
 
 
 @given(
@@ -46,9 +47,8 @@ def swing(frames_hz: float, own_hz: float) -> Array:
     """A load that bounces on its muscle, calm before."""
     t = np.arange(200) / frames_hz
     since = np.maximum(t - t[50], 0.0)
-    return (
-        60.0 - 4.0 * np.exp(-since) * np.sin(2.0 * np.pi * own_hz * since) - 3.0 * since.clip(0, 1))
-    )
+    bounce = 4.0 * np.exp(-since) * np.sin(2.0 * np.pi * own_hz * since)
+    return np.asarray(60.0 - bounce - 3.0 * since.clip(0, 1))
 
 
 @pytest.mark.parametrize("own_hz", [1.0, 3.1, 4.4, 7.3])

@@ -215,8 +215,27 @@ def rivals_in_best_form(
         before.cost - config.near_rival_share * excess_chi2(problem, before),
     )
     leading = [h for h in tried[: config.rivals_in_best_form] if h.cost <= near]
-    made = [in_best_form(problem, before, h, linear) for h in leading] + tried[len(leading) :]
-    return sorted(made, key=lambda hypothesis: hypothesis.cost)
+    made = [
+        _with_growth(problem, in_best_form(problem, before, h, linear), config) for h in leading
+    ]
+    return sorted(made + tried[len(leading) :], key=lambda hypothesis: hypothesis.cost)
+
+
+def _with_growth(
+    problem: FitProblem, hypothesis: Hypothesis, config: SelectionConfig
+) -> Hypothesis:
+    """The last effect with the part of it that goes with the pressure, or that does not.
+
+    For an effect whose size may grow with pressure both parts are one form. Without one of them it
+    would lose to another effect that has the pressure in it.
+    """
+    last = hypothesis.fit.candidates[-1]
+    if last.search.growth is None:
+        return hypothesis
+    gap = excess_chi2(problem, problem.base)
+    linear = linear_gains(problem, hypothesis.fit)
+    both = with_second_shape(problem, hypothesis, linear, gap, config)
+    return hypothesis if both is None else Hypothesis(both.keys, fit_shapes(problem, both.fit))
 
 
 def near_cost(problem: FitProblem, least: float, config: SelectionConfig = SELECTION) -> float:
@@ -234,6 +253,8 @@ def with_second_shape(
 ) -> Hypothesis | None:
     """The last effect with a second shape, where that takes a visible share of the gap."""
     key, fit = hypothesis.keys[-1], hypothesis.fit
+    if sum(candidate.key == key for candidate in fit.candidates) > 1:
+        return None
     used = {id(candidate) for candidate in fit.candidates}
     at = [j for j in linear.of_key(key) if id(problem.candidates[j]) not in used]
     if not at or problem.candidates[at[0]].search.one_shape:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from plant.constants import PlantConstants
-from plant.effects.arguments import Array, Context, Params, Points, Shape, Values
+from plant.effects.arguments import Array, Context, Params, Points, Shape, Values, Whole
 from plant.effects.effect import (
     Effect,
     Growth,
@@ -25,6 +25,10 @@ _TRAVELS = ((40.0, 0.4), (10.0, 0.1), (120.0, 1.2), (40.0, 0.1), (10.0, 0.5), (6
 """Rise of pressure (kPa) and shortening (mm) after which all fibres slip."""
 _PRESSED_PA = 2e3
 """Gauge pressure from which fibres rub in the form that does not scale with pressure."""
+_AT_END = 0.1
+"""Share of its travel within which a cylinder stands at an end of it."""
+_PAST_ALL = 2.0
+"""Travel after which every element slips, from whatever it was before."""
 _NO_SLIP_PA = 1e15
 """Rise of pressure after which the seals of a cylinder slip: only its travel moves them."""
 
@@ -81,6 +85,25 @@ def _stated(shape: Shape, values: Values, c: PlantConstants) -> Shape:
     }
 
 
+def _after_a_stroke(first: Whole, travel: Array) -> tuple[Whole, Array]:
+    """Paths with one more point before each trial that begins at an end of its travel.
+
+    A cylinder that stands at an end came there by the stroke before, and its seals still hold that
+    way. Elsewhere nothing tells how it came there, and seals are at rest.
+    """
+    begins, ends = first[:-1], first[1:]
+    before = np.zeros(len(begins))
+    for trial, (a, b) in enumerate(zip(begins.tolist(), ends.tolist(), strict=True)):
+        if b - a < 2:
+            continue
+        low, high = float(travel[a:b].min()), float(travel[a:b].max())
+        near = _AT_END * (high - low)
+        way = float(travel[a] - low < near) - float(high - travel[a] < near)
+        before[trial] = way * _PAST_ALL
+    made = np.insert(travel, begins, travel[begins] + before)
+    return first + np.arange(len(first)), np.ascontiguousarray(made)
+
+
 def _force(
     points: Points, p: Array, length: Array, base: Array, shape: Shape, context: Context
 ) -> Array:
@@ -90,8 +113,14 @@ def _force(
     travel = -length / (shape["mm"] * 1e-3)
     if not seals:
         travel = travel + points.path / (shape["kpa"] * 1e3)
-    slip = np.zeros(len(p))
-    paths.slip(points.first, without_noise_turns(points, travel), slip)
+    travel = without_noise_turns(points, travel)
+    first = points.first
+    if seals:
+        first, travel = _after_a_stroke(first, travel)
+    slip = np.zeros(len(travel))
+    paths.slip(first, travel, slip)
+    if seals:
+        slip = np.delete(slip, first[:-1])
     # The rows of a table of settled points are no path: only a stated direction tells.
     slip = np.where(points.settled, points.direction, slip)
     if shape["pressure"]:
