@@ -104,9 +104,18 @@ def _shape(problem: FitProblem, fit: FitResult, name: str) -> Mapping[str, float
     """Shape parameters of the plant's form of an effect, where the fitted shape gives them."""
     own = [(abs(a), s) for s, a in zip(fit.candidates, fit.amounts, strict=True) if s.id == name]
     shape = max(own, key=lambda one: one[0])[1].shape
-    as_plant = CATALOGUE[name].search.as_plant
+    search = CATALOGUE[name].search
     context = problem.model.context(problem.constants(fit.shift), fit.active)
-    return as_plant(shape, context) if as_plant is not None else {}
+    made = dict(search.as_plant(shape, context)) if search.as_plant is not None else {}
+    if search.growth is not None and search.growth.key in shape:
+        total = sum(a for s, a in zip(fit.candidates, fit.amounts, strict=True) if s.id == name)
+        grown = sum(
+            a * s.shape[search.growth.key]
+            for s, a in zip(fit.candidates, fit.amounts, strict=True)
+            if s.id == name
+        )
+        made[search.growth.share] = float(grown / total) if total else shape[search.growth.key]
+    return made
 
 
 def only(fit: FitResult, name: str) -> FitResult:

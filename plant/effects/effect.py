@@ -192,11 +192,13 @@ class Growth:
         key: number of the shape that is 1 where the size is in proportion to the pressure, else 0.
         name: of the parameter that a diagnosis states, with its unit.
         unit: of the headline parameter by kPa.
+        share: parameter of the plant that says which part is in proportion, as at 300 kPa.
     """
 
     key: str
     name: str
     unit: str
+    share: str
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,9 @@ from importlib.metadata import EntryPoint, entry_points
 from plant.constants import nominal
 from plant.effects.effect import Effect
 from plant.errors import PlantError
-from plant.physics.layout import PARAMS_SIZE
+from plant.physics.layout import FREE_SLOT, PARAMS_SIZE
 
 GROUP = "pamrig.effects"
-FREE_SLOT = 64
-"""Parameter slots from here on are free (`plant.physics.layout`)."""
 
 
 @cache

@@ -9,9 +9,6 @@ import numpy as np
 
 from plant.effects.arguments import Points, Whole
 
-_NOISE_TURNS = 3.0
-"""Sd of a path's noise that is no turning back."""
-
 
 def moved(points: Points, values: Any, ahead_s: float) -> Any:
     """Values of a signal `ahead_s` later, trial by trial, ends held; settled points stay."""
@@ -62,11 +59,11 @@ def without_noise_turns(points: Points, travel: Any) -> Any:
 
     if np.any(points.direction != 0.0):
         return np.ascontiguousarray(travel)
-    half = np.zeros(len(points.first) - 1)
+    noise = np.zeros(len(points.first) - 1)
     for trial, (a, b) in enumerate(pairwise(points.first.tolist())):
         if b - a > 4:
             rough = travel[a + 1 : b - 1] - 0.5 * (travel[a : b - 2] + travel[a + 2 : b])
-            half[trial] = _NOISE_TURNS * 1.4826 * float(np.median(np.abs(rough))) / np.sqrt(1.5)
+            noise[trial] = 1.4826 * float(np.median(np.abs(rough))) / np.sqrt(1.5)
     made = np.empty(len(travel))
-    paths.play(points.first, np.ascontiguousarray(travel), half, made)
+    paths.between_turns(points.first, np.ascontiguousarray(travel), noise, made)
     return made

@@ -13,8 +13,11 @@ import numpy as np
 from plant.compiled import entry_point, fingerprint, inlined
 from plant.physics.friction import element_slip
 from plant.physics.layout import SLIP_ELEMENTS
+from plant.physics.turns import LEAST, monotone_levels, next_turn, pool, resting
 
 _element = inlined(element_slip)
+_turn, _levels = inlined(next_turn), inlined(monotone_levels)
+_resting, _pool = inlined(resting), inlined(pool)
 
 
 def _build(sources: int) -> tuple[Callable[..., None], ...]:
@@ -52,22 +55,28 @@ def _build(sources: int) -> tuple[Callable[..., None], ...]:
                 out[i] = y
 
     @entry_point(f"void(int64[::1], {vector}, {vector}, {vector})")
-    def play(first: Any, x: Any, half: Any, out: Any) -> None:
-        """Follow x with a play of `half` (one a trial) either way: its noise turns nothing."""
+    def between_turns(first: Any, x: Any, noise: Any, out: Any) -> None:
+        """The path x made monotone between its turns; `noise` is its sd, one a trial."""
         if sources < 0:
             return
+        n = len(x)
+        begins, total, count = np.empty(n, dtype=np.int64), np.empty(n), np.empty(n)
         for t in range(len(first) - 1):
-            y = 0.0
-            for i in range(first[t], first[t + 1]):
-                if i == first[t]:
-                    y = x[i]
-                elif x[i] > y + half[t]:
-                    y = x[i] - half[t]
-                elif x[i] < y - half[t]:
-                    y = x[i] + half[t]
-                out[i] = y
+            begin, end = first[t], first[t + 1]
+            while begin < end:
+                turn, way = _turn(x, begin, end, LEAST * noise[t])
+                levels = _levels(x, begin, turn, way, begins, total, count)
+                if begin > first[t]:
+                    _pool(total, count, 0, _resting(total, count, 0, levels, 1, noise[t]))
+                if turn < end:
+                    rest = _resting(total, count, levels - 1, -1, -1, noise[t])
+                    _pool(total, count, levels - rest, levels)
+                for at in range(levels):
+                    for i in range(begins[at], begins[at] + int(count[at])):
+                        out[i] = way * total[at] / count[at]
+                begin = turn
 
-    return slip, lag, play
+    return slip, lag, between_turns
 
 
-slip, lag, play = _build(fingerprint())
+slip, lag, between_turns = _build(fingerprint())

@@ -21,10 +21,11 @@ from plant.physics.friction import element_slip
 from plant.physics.layout import LENGTH, PRESSURE, SLIP, SLIP_ELEMENTS
 
 FORCE, TRAVEL_PRESSURE, TRAVEL_LENGTH = 34, 35, 36  # N, Pa, m
+WITH_PRESSURE = 69  # share that goes with the pressure
 _TRAVELS = ((40.0, 0.4), (10.0, 0.1), (120.0, 1.2), (40.0, 0.1), (10.0, 0.5), (60.0, 2.5))
 """Rise of pressure (kPa) and shortening (mm) after which all fibres slip."""
 _PRESSED_PA = 2e3
-"""Gauge pressure from which fibres rub in the form that does not scale with pressure."""
+"""Gauge pressure from which fibres rub whose friction does not go with pressure alone."""
 _AT_END = 0.1
 """Share of its travel within which a cylinder stands at an end of it."""
 _PAST_ALL = 2.0
@@ -39,7 +40,13 @@ def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
         FORCE: float(values["friction_n"]),
         TRAVEL_PRESSURE: _NO_SLIP_PA if cylinder else float(values["travel_kpa"]) * 1e3,
         TRAVEL_LENGTH: float(values["travel_mm"]) * 1e-3,
+        WITH_PRESSURE: float(values["pressure_share"]),
     }
+
+
+def _load(p: Array, share: float) -> Array:
+    """Load of the contacts, 1 at 300 kPa: what squeezes a seal is there without pressure too."""
+    return np.maximum(1.0 - share + share * p / MIDDLE_PRESSURE_PA, 0.0)
 
 
 def _transient(
@@ -54,9 +61,7 @@ def _transient(
     for i in range(SLIP_ELEMENTS):
         total += element_slip(state[SLIP + i], travel, i)
     slip = total / SLIP_ELEMENTS
-    # What presses a seal of a cylinder is its squeeze, not the pressure of the gas.
-    pressed = 1.0 if params[TRAVEL_PRESSURE] == _NO_SLIP_PA else p / MIDDLE_PRESSURE_PA
-    return pull - params[FORCE] * pressed * slip
+    return pull - params[FORCE] * _load(p, params[WITH_PRESSURE]) * slip
 
 
 def _slide(state: Params, params: Params, dp: float, dlength: float) -> None:
@@ -69,10 +74,8 @@ def _slide(state: Params, params: Params, dp: float, dlength: float) -> None:
 def _stiffness(bound: float, params: Params, p: float, length: float) -> float:
     if params[FORCE] != 0.0:
         first = params[TRAVEL_LENGTH] * 2.0 ** (1 - SLIP_ELEMENTS)
-        pressed = abs(p) / MIDDLE_PRESSURE_PA
-        if params[TRAVEL_PRESSURE] == _NO_SLIP_PA:
-            pressed = 1.0
-        return float(bound + abs(params[FORCE] * pressed) / first)
+        load = _load(abs(p), params[WITH_PRESSURE])
+        return float(bound + abs(params[FORCE] * load) / first)
     return bound
 
 
@@ -81,7 +84,7 @@ def _stated(shape: Shape, values: Values, c: PlantConstants) -> Shape:
         **shape,
         "kpa": float(values["travel_kpa"]),
         "mm": float(values["travel_mm"]),
-        "pressure": 0.0 if c.actuator == "cylinder" else 1.0,
+        "pressure": float(values["pressure_share"]),
     }
 
 
@@ -123,9 +126,9 @@ def _force(
         slip = np.delete(slip, first[:-1])
     # The rows of a table of settled points are no path: only a stated direction tells.
     slip = np.where(points.settled, points.direction, slip)
-    if shape["pressure"]:
+    if shape["pressure"] == 1.0:
         return -slip * (np.maximum(p, 0.0) / MIDDLE_PRESSURE_PA)
-    return -slip * np.where((p > _PRESSED_PA) | seals, 1.0, 0.0)
+    return -slip * np.where((p > _PRESSED_PA) | seals, _load(p, shape["pressure"]), 0.0)
 
 
 BRAID_FRICTION = Effect(
@@ -139,11 +142,13 @@ BRAID_FRICTION = Effect(
             "travel_kpa", "kPa", "rise of pressure after which all fibres slip", 1, 150, 40.0
         ),
         Parameter("travel_mm", "mm", "shortening after which all fibres slip", 0.01, 5, 0.4),
+        Parameter("pressure_share", "", "part that goes with pressure, as at 300 kPa", -1, 2, 1.0),
     ),
     "the mean of up and down; gas and valve traces; anything measured at zero pressure",
     ("viscosity", "creep", "link_friction"),
     "the same loop at two speeds, and with a wait at each point: friction keeps its height",
-    equation="F - friction p / 300 kPa mean(z_i), four Maxwell-slip elements driven by p and L",
+    equation="F - friction (1 - s + s p / 300 kPa) mean(z_i), "
+    "four Maxwell-slip elements driven by p and L",
     source="Iwan 1966; Davis and Caldwell 2006; Vo-Minh et al. 2010",
     standard="none needed: a slow loop of pressure at one length",
     plant=InPlant(slots=_slots, transient=_transient, slide=_slide, stiffness=_stiffness),
@@ -159,7 +164,7 @@ BRAID_FRICTION = Effect(
         ),
         free={"kpa": (3.0, 300.0), "mm": (0.03, 5.0)},
         plant_misfit=0.15,
-        growth=Growth("pressure", "growth_n_kpa", "N/kPa"),
+        growth=Growth("pressure", "growth_n_kpa", "N/kPa", "pressure_share"),
         as_plant=same_numbers(kpa="travel_kpa", mm="travel_mm"),
         settled={"friction_n": (0.5, 0.0, 20.0)},
     ),
