@@ -33,8 +33,12 @@ Whole = npt.NDArray[np.int64]
 
 _ROUNDS = 12
 _SEEN_SHARE = 0.25
-"""Mean square of what replicates differ by, over what their gains say, from which these contradict
-them. A matter of definition."""
+"""Mean square of what replicates differ by, over what zeros and gains say, from which these are too
+large. A matter of definition."""
+_LEAST_OF_USUAL = 0.3
+"""Share of its usual size that a sensor's zero or gain keeps then. Not tuned."""
+_OF_SENSORS = ("zero", "gain")
+"""How the kinds of noise end that are zeros and gains of sensors."""
 SLOW_START = {"pressure": 0.05, "force": 0.08, "load": 0.05, "camera": 0.0}
 WHITE = {"pressure": 0.5, "force": 0.05, "load": 0.06, "camera": 0.01}
 
@@ -382,7 +386,7 @@ def _learn(noise: Noise, pairs: list[_Pair], prior: dict[str, float], block: Who
             if size[number] > 0.0:
                 factor[number] = (20.0 + spread[number]) / (20.0 + size[number])
     _as_in_nearest(factor, size)
-    _no_more_than_seen(pairs, variance)
+    _no_more_than_seen(pairs, variance, prior)
     noise.scales = {kind: float(np.sqrt(v)) for kind, v in variance.items()}
     for number in numbers:
         noise.white[block == number] *= factor[number]
@@ -396,19 +400,23 @@ def _as_in_nearest(factor: dict[int, float], size: dict[int, float]) -> None:
             factor[number] = factor[min(seen, key=lambda one: abs(one - number))]
 
 
-def _no_more_than_seen(pairs: list[_Pair], variance: dict[str, float]) -> None:
-    """Reduce the variances of gains by which replicates would differ far more than they do.
+def _no_more_than_seen(
+    pairs: list[_Pair], variance: dict[str, float], prior: dict[str, float]
+) -> None:
+    """Reduce variances of zeros and gains by which replicates would differ far more than they do.
 
-    A change of friction from one stroke to the next looks like gains of pressure and force that
-    cancel in all else, and may be of any size then. Two independent gains of that size would make
-    differences many times larger than any that was seen.
+    A change of friction from one stroke to the next looks like zeros and gains of pressure and
+    force that cancel in all else, and may be of any size then. Independent zeros and gains of that
+    size would make differences many times larger than any that was seen.
     """
     seen = said = 0.0
     for pair in pairs:
-        gains = [k for k, kind in enumerate(pair.kinds) if kind.endswith("gain")]
-        v = pair.double * np.array([variance[pair.kinds[k]] for k in gains])
-        said += float(np.sum((pair.b[:, gains] ** 2 @ v) / pair.white))
+        own = [k for k, kind in enumerate(pair.kinds) if kind.endswith(_OF_SENSORS)]
+        v = pair.double * np.array([variance[pair.kinds[k]] for k in own])
+        said += float(np.sum((pair.b[:, own] ** 2 @ v) / pair.white))
         seen += float(np.sum(pair.d**2 / pair.white))
     if seen < _SEEN_SHARE * said:
-        for kind in variance:
-            variance[kind] *= seen / said if kind.endswith("gain") else 1.0
+        for kind, usual_sd in prior.items():
+            if kind.endswith(_OF_SENSORS):
+                least = min(variance[kind], (_LEAST_OF_USUAL * usual_sd) ** 2)
+                variance[kind] = max(variance[kind] * seen / said, least)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -216,26 +216,45 @@ def rivals_in_best_form(
     )
     leading = [h for h in tried[: config.rivals_in_best_form] if h.cost <= near]
     made = [
-        _with_growth(problem, in_best_form(problem, before, h, linear), config) for h in leading
+        _in_whole_form(problem, in_best_form(problem, before, h, linear), config) for h in leading
     ]
     return sorted(made + tried[len(leading) :], key=lambda hypothesis: hypothesis.cost)
 
 
-def _with_growth(
+def _in_whole_form(
     problem: FitProblem, hypothesis: Hypothesis, config: SelectionConfig
 ) -> Hypothesis:
-    """The last effect with the part of it that goes with the pressure, or that does not.
+    """The last effect with all that belongs to its form.
 
-    For an effect whose size may grow with pressure both parts are one form. Without one of them it
-    would lose to another effect that has the pressure in it.
+    Of an effect whose size may grow with pressure that is the part that goes with the pressure and
+    the part that does not: without one of them it would lose to another effect that has the
+    pressure in it. What was before the data is as leaves less.
     """
-    last = hypothesis.fit.candidates[-1]
-    if last.search.growth is None:
+    search = hypothesis.fit.candidates[-1].search
+    if search.either:
+        hypothesis = _either(problem, hypothesis, search.either, config)
+    if search.growth is None:
         return hypothesis
     gap = excess_chi2(problem, problem.base)
     linear = linear_gains(problem, hypothesis.fit)
     both = with_second_shape(problem, hypothesis, linear, gap, config)
     return hypothesis if both is None else Hypothesis(both.keys, fit_shapes(problem, both.fit))
+
+
+def _either(
+    problem: FitProblem, hypothesis: Hypothesis, name: str, config: SelectionConfig
+) -> Hypothesis:
+    """The last effect with the key `name` of its shape at 1, where that leaves less."""
+    key, fit = hypothesis.keys[-1], hypothesis.fit
+    turned = [
+        replace(candidate, shape={**candidate.shape, name: 1.0})
+        if candidate.key == key else candidate
+        for candidate in fit.candidates
+    ]  # fmt: skip
+    other = problem.fit_from(fit.shift, turned, list(fit.amounts))
+    if other.cost > fit.cost - config.least_gain:
+        return hypothesis
+    return Hypothesis(hypothesis.keys, fit_shapes(problem, other))
 
 
 def near_cost(problem: FitProblem, least: float, config: SelectionConfig = SELECTION) -> float:
@@ -263,8 +282,10 @@ def with_second_shape(
     share = min(config.second_shape_of_gap * gap, config.second_shape_of_left * left)
     if linear.gain[at[0]] < max(config.second_shape_gain, share):
         return None
-    fitted = problem.fit(
-        [*fit.candidates, problem.candidates[at[0]]], [*fit.amounts, linear.start(at[0])], fit
-    )
+    second = problem.candidates[at[0]]
+    if second.search.either in fit.candidates[-1].shape:
+        either = second.search.either
+        second = replace(second, shape={**second.shape, either: fit.candidates[-1].shape[either]})
+    fitted = problem.fit([*fit.candidates, second], [*fit.amounts, linear.start(at[0])], fit)
     enough = fitted.cost < hypothesis.cost - config.second_shape_fitted
     return Hypothesis(hypothesis.keys, fitted) if enough else None

@@ -227,6 +227,7 @@ class Search:
         each_label: whether, in tables of settled points, each written length alone may have it:
             shapes with `only_mm`.
         growth: how its size may grow with pressure, where shapes with and without it exist.
+        either: key that a shape may have as 1, if that leaves less: what was before the data.
     """
 
     step: float
@@ -244,6 +245,7 @@ class Search:
     settled: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     each_label: bool = False
     growth: Growth | None = None
+    either: str = ""
 
 
 def same_numbers(**parameters: str) -> Callable[[Shape, Context], Mapping[str, float]]:

@@ -3,9 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from plant.constants import PlantConstants
-from plant.effects.arguments import Array, Context, Params, Points, Shape, Values, Whole
+from plant.effects.arguments import (
+    Array,
+    Context,
+    Params,
+    Points,
+    Shape,
+    Values,
+    Whole,
+)
 from plant.effects.effect import (
     Effect,
     Growth,
@@ -22,6 +31,7 @@ from plant.physics.layout import LENGTH, PRESSURE, SLIP, SLIP_ELEMENTS
 
 FORCE, TRAVEL_PRESSURE, TRAVEL_LENGTH = 34, 35, 36  # N, Pa, m
 WITH_PRESSURE = 69  # share that goes with the pressure
+Flags = npt.NDArray[np.bool_]
 _TRAVELS = ((40.0, 0.4), (10.0, 0.1), (120.0, 1.2), (40.0, 0.1), (10.0, 0.5), (60.0, 2.5))
 """Rise of pressure (kPa) and shortening (mm) after which all fibres slip."""
 _PRESSED_PA = 2e3
@@ -88,22 +98,24 @@ def _stated(shape: Shape, values: Values, c: PlantConstants) -> Shape:
     }
 
 
-def _after_a_stroke(first: Whole, travel: Array) -> tuple[Whole, Array]:
+def _after_a_stroke(first: Whole, travel: Array, held: Flags) -> tuple[Whole, Array]:
     """Paths with one more point before each trial that begins at an end of its travel.
 
-    A cylinder that stands at an end came there by the stroke before, and its seals still hold that
-    way. Elsewhere nothing tells how it came there, and seals are at rest.
+    What stands at an end came there by the stroke before, and its contacts still hold that way.
+    Elsewhere nothing tells how it came there, and contacts are at rest, as where `held`, shape
+    (trials,), is false.
     """
     begins, ends = first[:-1], first[1:]
     before = np.zeros(len(begins))
     for trial, (a, b) in enumerate(zip(begins.tolist(), ends.tolist(), strict=True)):
-        if b - a < 2:
+        if b - a < 2 or not held[trial]:
             continue
         low, high = float(travel[a:b].min()), float(travel[a:b].max())
         near = _AT_END * (high - low)
         way = float(travel[a] - low < near) - float(high - travel[a] < near)
         before[trial] = way * _PAST_ALL
-    made = np.insert(travel, begins, travel[begins] + before)
+    at = np.minimum(begins, len(travel) - 1)
+    made = np.insert(travel, begins, travel[at] + before)
     return first + np.arange(len(first)), np.ascontiguousarray(made)
 
 
@@ -118,11 +130,14 @@ def _force(
         travel = travel + points.path / (shape["kpa"] * 1e3)
     travel = without_noise_turns(points, travel)
     first = points.first
-    if seals:
-        first, travel = _after_a_stroke(first, travel)
+    before = seals or bool(shape.get("held", 0.0))
+    if before:
+        # A muscle that begins without pressure begins with fibres at rest.
+        begun = p[np.minimum(first[:-1], len(p) - 1)] > _PRESSED_PA
+        first, travel = _after_a_stroke(first, travel, begun | seals)
     slip = np.zeros(len(travel))
     paths.slip(first, travel, slip)
-    if seals:
+    if before:
         slip = np.delete(slip, first[:-1])
     # The rows of a table of settled points are no path: only a stated direction tells.
     slip = np.where(points.settled, points.direction, slip)
@@ -165,6 +180,7 @@ BRAID_FRICTION = Effect(
         free={"kpa": (3.0, 300.0), "mm": (0.03, 5.0)},
         plant_misfit=0.15,
         growth=Growth("pressure", "growth_n_kpa", "N/kPa", "pressure_share"),
+        either="held",
         as_plant=same_numbers(kpa="travel_kpa", mm="travel_mm"),
         settled={"friction_n": (0.5, 0.0, 20.0)},
     ),
