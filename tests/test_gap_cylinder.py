@@ -20,6 +20,7 @@ from gap.data.reader import read_dataset
 from gap.decision.diagnose import diagnose, diagnose_with_fit
 from gap.design.library import library_experiments
 from gap.errors import GapError
+from gap.estimation.fit_problem import FitProblem
 from gap.validation.improved_plant import improved_plant
 from gap.verdict import Status
 from iso_6358 import mass_flow
@@ -219,6 +220,23 @@ def test_friction_of_the_seals_is_named_and_gone_from_the_improved_cylinder(
     assert verdict.headline_gap is not None
     assert again.headline_gap is not None
     assert again.headline_gap.recalibrated < 0.1 * verdict.headline_gap.recalibrated
+
+
+def test_a_part_of_a_stroke_is_as_noisy_as_the_strokes(tmp_path: Path) -> None:
+    """No replicates share its rows; the noise of a textbook would be four times too small here."""
+    problem = FitProblem.of(read_dataset(cut_strokes(tmp_path / "set")))
+    rows = problem.rows
+    each = np.sqrt(problem.noise.white * rows.samples)
+    apart = np.array(["(" in problem.data.trials[k].slot for k in rows.trial.tolist()])
+    longer = apart & (rows.samples > 1.1 * rows.samples[~apart].max())
+    assert longer.sum() > 100
+    assert np.median(each[longer]) == pytest.approx(np.median(each[~apart]), rel=0.2)
+
+
+def test_what_replicates_do_not_differ_by_is_no_scatter_of_gains(tmp_path: Path) -> None:
+    """Gains of cell and gauge that cancel in all else may be of any size, and none is seen."""
+    problem = FitProblem.of(read_dataset(cut_strokes(tmp_path / "set")))
+    assert float(np.sqrt(problem.floor_variance).max()) < 0.3
 
 
 def test_friction_that_grows_with_pressure_is_named_in_strokes_cut_from_a_recording(

@@ -86,6 +86,8 @@ def assemble(mapping: Mapping, folder: Path) -> list[MuscleSet]:
             own = sets.setdefault(muscle, MuscleSet(muscle))
             if recording not in own.recordings:
                 own.recordings.append(recording)
+                if file.doubt:
+                    own.notes.append(file.doubt)
                 if outside:
                     own.notes.append(f"{file.path.name}: {outside} samples belong to no trial")
                 if recording.offset is not None and mapping.join is not None:

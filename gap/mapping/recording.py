@@ -32,10 +32,26 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Found:
-    """A main file and what the names in its pattern stand for."""
+    """A main file and what the names in its pattern stand for.
+
+    Attributes:
+        other: what they could stand for as well, where the pattern fits in another way.
+    """
 
     path: Path
     names: dict[str, str]
+    other: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def doubt(self) -> str:
+        """That the pattern fits in another way too, in words; empty where it does not."""
+        if not self.other:
+            return ""
+        read, other = (
+            ", ".join(f"{name} = {names[name]}" for name in self.other)
+            for names in (self.names, self.other)
+        )
+        return f"{self.path.name}: read as {read}, but its pattern fits {other} too; rename it"
 
     def filled(self, text: str) -> str:
         """A text with the names put in."""
@@ -50,12 +66,15 @@ def find_files(mapping: Mapping, folder: Path) -> list[Found]:
     """
     found: dict[Path, Found] = {}
     for pattern in mapping.files:
-        rule = re.compile(_rule(pattern))
+        rule, longest = re.compile(_rule(pattern)), re.compile(_rule(pattern, longest=True))
         matched = []
         for path in sorted(folder.glob(_PLACE.sub("*", pattern))):
             fits = rule.fullmatch(path.relative_to(folder).as_posix())
             if fits and path.is_file():
-                matched.append(Found(path, {**fits.groupdict(), "stem": path.stem}))
+                names = {**fits.groupdict(), "stem": path.stem}
+                again = longest.fullmatch(path.relative_to(folder).as_posix())
+                other = again.groupdict() if again else {}
+                matched.append(Found(path, names, other if other != fits.groupdict() else {}))
         if not matched:
             raise GapError(
                 f"{mapping.path}: source.files", f"no file {pattern!r} in {folder}",
@@ -68,9 +87,11 @@ def find_files(mapping: Mapping, folder: Path) -> list[Found]:
     return [found[path] for path in sorted(found)]
 
 
-def _rule(pattern: str) -> str:
+def _rule(pattern: str, longest: bool = False) -> str:
+    """The pattern as a regular expression, each name as short as can be, or as long."""
     parts: list[str] = []
     seen: set[str] = set()
+    least = "" if longest else "?"
     for part in re.split(r"(\{[a-z][a-z0-9_]*\}|\*|\?)", pattern):
         name = part[1:-1]
         if part == "*":
@@ -78,7 +99,7 @@ def _rule(pattern: str) -> str:
         elif part == "?":
             parts.append("[^/]")
         elif _PLACE.fullmatch(part):
-            parts.append(f"(?P={name})" if name in seen else f"(?P<{name}>[^/]+?)")
+            parts.append(f"(?P={name})" if name in seen else f"(?P<{name}>[^/]+{least})")
             seen.add(name)
         else:
             parts.append(re.escape(part))

@@ -1,6 +1,6 @@
 """`python -m tests.real FOLDER`: the diagnosis put to measured data from outside the repository.
 
-FOLDER holds one folder for each set (`martens-boblan`, `zillen`) with the published files in it;
+FOLDER holds one folder for each set (`martens-boblan`, `zillen`, `zillen-seals`) with its files;
 docs/evidence/real-data.md says where each is published. The mapping files and the analyses made by
 hand lie beside this file; the tables of the thesis are shipped. Every step is a command of `pamrig`
 that a user would give. Ends with status 1 where a verdict does not agree with the analysis by hand.
@@ -63,6 +63,7 @@ class Outcome:
         if self.figures.get("largest_percent", 0.0) > wanted.get("largest_percent", 1e9):
             return False
         ids = [set(effect["ids"]) for effect in self.verdict["effects"]]
+        ids = ids[:1] if wanted.get("first") else ids
         return not wanted.get("one_of") or any(set(wanted["one_of"]) & one for one in ids)
 
 
@@ -139,6 +140,14 @@ def zillen(folder: Path) -> list[Outcome]:
     return [Outcome("Cylinder, area times pressure", "zillen", verdict)]
 
 
+def zillen_seals(folder: Path) -> list[Outcome]:
+    """The built-in cylinder: the other seals and shapes, and the repeats of one of them."""
+    return [
+        Outcome(f"Seal {where.name}", "zillen-seals", pamrig(folder, "gap", "diagnose", where))
+        for where in sorted((folder / "sets").iterdir())
+    ]
+
+
 def thesis(work: Path) -> list[Outcome]:
     """C-3 and C-4 against a law fitted to C-1."""
     from gap.decision.diagnose import diagnose
@@ -160,6 +169,7 @@ SOURCES = """\
 |---|---|---|
 | `martens-boblan` | M. Martens, I. Boblan, Actuators 2017, 6(4), 33, tables A1 and A2 (erratum 2018, 7(1), 9), as `martens-boblan-2017-dmsp-10-250.csv` and `-20-300.csv` with columns pressure_kpa, length_mm, force_n | CC BY 4.0 |
 | `zillen` | E. Zillen, thesis, TU Delft: friction runs of a 3D-printed cylinder, `zillen-friction-{1,3,5,7}bar.tsv` | CC0 1.0 |
+| `zillen-seals` | the same: data/friction of eleven seals and shapes, `_lc` written `-lc`, and data/repeatability as `O-ring257-rerun1_1bar.csv`, `-rerun3`, `-reconnected2`, `-reconnected3` (rerun 2 and reconnected 1 are copies of others) | CC0 1.0 |
 | none | tables C-1, C-3 and C-4 of the thesis, shipped | see docs/reference/plant.md |
 """  # noqa: E501
 
@@ -182,7 +192,10 @@ def page(outcomes: list[Outcome]) -> str:
           for o in outcomes),
         "",
     ]  # fmt: skip
+    lines += _seals([o for o in outcomes if o.by_hand == "zillen-seals"])
     for outcome in outcomes:
+        if outcome.by_hand == "zillen-seals":
+            continue
         lines += [f"## {outcome.name}", "", "By hand:"]
         lines += [BY_HAND[outcome.by_hand]["analysis"].strip(), "", "Verdict:"]
         lines += [f"{outcome.verdict['reason']}."]
@@ -202,6 +215,37 @@ def page(outcomes: list[Outcome]) -> str:
             ]
         lines.append("")
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _seals(outcomes: list[Outcome]) -> list[str]:
+    """The seals of one cylinder in a table, with the friction found by hand."""
+    if not outcomes:
+        return []
+    lines = ["## Seals of a cylinder", "", "By hand:", BY_HAND["zillen-seals"]["analysis"].strip()]
+    lines += [
+        "",
+        "| seal | by hand, N and N/kPa | first entry | friction in it, N and N/kPa | status | error"
+        " as stated, with the first entry, floor, N |",
+        "|---|---|---|---|---|---|",
+    ]
+    for one in outcomes:
+        name, gap = one.name.removeprefix("Seal "), one.verdict["gap"]
+        friction, growth = BY_HAND["zillen-seals"]["seals"][name]
+        first = (
+            one.verdict["effects"][0] if one.verdict["effects"] else {"ids": (), "parameters": {}}
+        )
+        found = [
+            f"{first['parameters'][key]['value']:.{digits}f}"
+            for key, digits in (("friction_n", 1), ("growth_n_kpa", 4))
+            if key in first["parameters"]
+        ]
+        after = "-" if gap["after"] is None else f"{gap['after']:.2g}"
+        lines.append(
+            f"| {name} | {friction:.1f}, {growth:.4f} | {' + '.join(first['ids'])} | "
+            f"{', '.join(found)} | {one.verdict['status']} | "
+            f"{gap['before']:.2g}, {after}, {gap['floor']:.2g} |"
+        )
+    return [*lines, ""]
 
 
 def _entry(effect: dict[str, Any]) -> str:
@@ -225,7 +269,10 @@ def main() -> int:
     outcomes: list[Outcome] = []
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(scratch)
-        for name, study in (("martens-boblan", martens_boblan), ("zillen", zillen)):
+        studies = (
+            ("martens-boblan", martens_boblan), ("zillen", zillen), ("zillen-seals", zillen_seals),
+        )  # fmt: skip
+        for name, study in studies:
             folder = laid_out(options.data.resolve(), name, work)
             if folder is None:
                 print(f"{options.data / name}: not there, left out", flush=True)
