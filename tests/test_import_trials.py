@@ -308,3 +308,21 @@ def test_a_muscle_in_the_name_of_the_file_has_its_own_rest_length(tmp_path: Path
     )
     found = [read_dataset(tmp_path / "out" / n).trials[0]["length_mm"].value for n in "AB"]
     np.testing.assert_allclose(found, [[60.0, 54.0], [70.0, 63.0]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "doubts"),
+    [("ring_1bar.csv", False), ("ring_lc_1bar.csv", True)],
+)  # fmt: skip
+def test_a_name_that_the_pattern_fits_in_two_ways_is_said(
+    name: str, doubts: bool, tmp_path: Path
+) -> None:
+    write(tmp_path, {"t": [0.0, 0.5, 1.0], "f": [1.0, 2.0, 3.0]}, name)
+    text = HEAD.replace("a.csv", "{seal}_{bar}bar.csv") + FORCE + '[trials]\nslot = "{bar} bar"\n'
+    (made,) = imported(tmp_path, text)
+    said = [note for note in made.notes if "rename it" in note]
+    wanted = (
+        "ring_lc_1bar.csv: read as seal = ring, bar = lc_1, "
+        "but its pattern fits seal = ring_lc, bar = 1 too; rename it"
+    )
+    assert said == ([wanted] if doubts else [])
