@@ -217,12 +217,19 @@ def page(outcomes: list[Outcome]) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
+_SEEN = """What friction does in the diagnosis was mended on the eleven seals and shapes, on
+2026-11-27; before, none of the seven round seals had friction alone as its first entry. The four repeats
+were put to it once, afterwards."""
+
+
 def _seals(outcomes: list[Outcome]) -> list[str]:
     """The seals of one cylinder in a table, with the friction found by hand."""
     if not outcomes:
         return []
     lines = ["## Seals of a cylinder", "", "By hand:", BY_HAND["zillen-seals"]["analysis"].strip()]
     lines += [
+        "",
+        _SEEN,
         "",
         "| seal | by hand, N and N/kPa | first entry | friction in it, N and N/kPa | status | error"
         " as stated, with the first entry, floor, N |",
