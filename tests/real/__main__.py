@@ -218,8 +218,8 @@ def page(outcomes: list[Outcome]) -> str:
 
 
 _SEEN = """What friction does in the diagnosis was mended on the eleven seals and shapes, on
-2026-11-27; before, none of the seven round seals had friction alone as its first entry. The four repeats
-were put to it once, afterwards."""
+2026-11-27; before, none of the seven round seals had friction alone as its first entry. The four
+repeats were put to it once, afterwards."""
 
 
 def _seals(outcomes: list[Outcome]) -> list[str]:
