@@ -222,8 +222,8 @@ def test_friction_of_the_seals_is_named_and_gone_from_the_improved_cylinder(
     assert again.headline_gap.recalibrated < 0.1 * verdict.headline_gap.recalibrated
 
 
-def test_a_part_of_a_stroke_is_as_noisy_as_the_strokes(tmp_path: Path) -> None:
-    """No replicates share its rows; the noise of a textbook would be four times too small here."""
+def test_what_has_no_replicates_is_as_noisy_as_the_rest(tmp_path: Path) -> None:
+    """A stroke and a half: the noise of a textbook would be four times too small here."""
     problem = FitProblem.of(read_dataset(cut_strokes(tmp_path / "set")))
     rows = problem.rows
     each = np.sqrt(problem.noise.white * rows.samples)
@@ -248,7 +248,8 @@ def test_friction_that_grows_with_pressure_is_named_in_strokes_cut_from_a_record
     found = verdict.effects[0].parameters
     assert found["friction_n"].value == pytest.approx(3.0 + 0.008 * 300.0, rel=0.05)
     assert found["growth_n_kpa"].low < 0.008 < found["growth_n_kpa"].high
-    assert "part of the motion of the others: 1 bar 1, 1 bar 5, 3 bar 1" in verdict.notes[-1]
+    assert verdict.notes[-2].endswith("alone: 1 bar 1, 3 bar 1, 5 bar 1, 7 bar 1")
+    assert verdict.notes[-1].endswith("slot: 1 bar 5, 3 bar 5, 5 bar 5, 7 bar 5")
     assert problem is not None
     assert fit is not None
     (folder / "bench.toml").write_text(improved_plant(problem, fit))

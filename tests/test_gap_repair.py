@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gap.data.dataset import DataSet
-from gap.data.repair import repaired, spikes_of, with_parts_apart, without_spikes
+from gap.data.repair import repaired, spikes_of, without_parts, without_spikes
 from gap.data.trial import Channel, Trial
 from gap.estimation.fit_problem import FitProblem
 from plant.constants import nominal
@@ -98,41 +98,46 @@ def data_of(*trials: Trial) -> DataSet:
     return DataSet("there", trials, nominal())
 
 
-def test_half_a_stroke_is_no_replicate_of_whole_ones() -> None:
+def test_half_a_stroke_is_left_out_where_the_others_are_whole() -> None:
     """A recording cut into cycles begins with part of one."""
     whole = [trial(str(k), "slow", 8.0, stroke(k)) for k in range(2, 5)]
     part = trial("1", "slow", 4.0, stroke()[200:])
-    made = with_parts_apart(data_of(part, *whole))
-    assert [t.slot for t in made.trials] == ["slow (1)", "slow", "slow", "slow"]
-    assert made.notes == (
-        "not a replicate of its slot, for it is a part of the motion of the others: 1",
-    )
+    made = without_parts(data_of(part, *whole))
+    assert [t.name for t in made.trials] == ["2", "3", "4"]
+    assert made.notes == ("left out, a part of the motion of their slot alone: 1",)
+
+
+def test_a_stroke_and_a_half_is_a_slot_of_its_own() -> None:
+    whole = [trial(str(k), "slow", 8.0, stroke(k)) for k in range(2, 5)]
+    longer = trial("5", "slow", 12.0, np.r_[stroke(), stroke(1)[:200]])
+    made = without_parts(data_of(*whole, longer))
+    assert [t.slot for t in made.trials] == ["slow", "slow", "slow", "slow (5)"]
+    assert made.notes == ("no replicate, longer than the motion of their slot: 5",)
 
 
 def test_the_bins_of_whole_strokes_are_not_those_of_a_part() -> None:
     whole = [trial(str(k), "slow", 8.0, stroke(k)) for k in range(2, 5)]
     part = trial("1", "slow", 4.0, stroke()[200:])
     rows = FitProblem.of(data_of(part, *whole)).rows
-    for at in (1, 2, 3):
-        assert rows.span_s[rows.trial == at].max() < 0.5
+    assert rows.span_s.max() < 0.5
 
 
 @pytest.mark.parametrize("seconds", [7.0, 9.0, 12.0])
 def test_a_stroke_driven_by_hand_stays_a_replicate(seconds: float) -> None:
     trials = [trial(str(k), "slow", 8.0, stroke(k)) for k in range(3)]
     data = data_of(*trials, trial("x", "slow", seconds, stroke()))
-    assert with_parts_apart(data) is data
+    assert without_parts(data) is data
 
 
 def test_of_two_trials_neither_is_a_part() -> None:
     data = data_of(trial("a", "s", 8.0, stroke()), trial("b", "s", 4.0, stroke()[200:]))
-    assert with_parts_apart(data) is data
+    assert without_parts(data) is data
 
 
 def test_settled_points_have_no_parts_and_no_spikes() -> None:
     tables = [trial(str(k), "map", 8.0, stroke(), settled=True) for k in range(3)]
     data = data_of(trial("x", "map", 2.0, stroke()[200:], settled=True), *tables)
-    assert with_parts_apart(data) is data
+    assert without_parts(data) is data
     assert without_spikes(data) is data
 
 

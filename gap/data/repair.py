@@ -25,8 +25,8 @@ from plant.arrays import Array
 
 
 def repaired(data: DataSet) -> DataSet:
-    """The data set without copies of trials and spikes of a length, parts of a motion apart."""
-    return with_parts_apart(without_spikes(without_duplicates(data)))
+    """The data set without copies of trials, spikes of a length and parts of a motion."""
+    return without_parts(without_spikes(without_duplicates(data)))
 
 
 _LEAST = 20
@@ -142,53 +142,63 @@ _END = 5
 """Samples over which the start and the end of a trial are averaged."""
 
 
-def with_parts_apart(data: DataSet) -> DataSet:
-    """The data set with a slot of its own for each trial that is a part of what its slot repeats.
+def without_parts(data: DataSet) -> DataSet:
+    """The data set without trials that are a part of what their slot repeats.
 
-    A trial is one if it lasts much longer or shorter than its slot's trials usually do, and begins
-    or ends elsewhere in what was driven. The data set itself where there is none.
+    A trial is one if it is much shorter in time than its slot's trials usually are, and begins or
+    ends elsewhere in what was driven. One that is much longer repeats more than they do: it gets a
+    slot of its own.
     """
-    slots: dict[int, str] = {}
+    made: list[Trial] = []
+    parts: list[str] = []
+    longer: list[str] = []
     taken = set(data.slots)
-    for slot, members in data.slots.items():
-        trials = [data.trials[at] for at in members]
-        for at, trial in zip(members, trials, strict=True):
-            if len(members) >= _FEWEST and _is_part(trial, trials):
-                slots[at] = _free_name(slot, trial, taken)
-                taken.add(slots[at])
-    if not slots:
+    for trial in data.trials:
+        fellows = [data.trials[at] for at in data.slots[trial.slot]]
+        ratio = _other_motion(trial, fellows) if len(fellows) >= _FEWEST else 1.0
+        if ratio < 1.0:
+            parts.append(trial.name)
+        elif ratio > 1.0:
+            slot = _free_name(trial, taken)
+            taken.add(slot)
+            longer.append(trial.name)
+            made.append(replace(trial, slot=slot))
+        else:
+            made.append(trial)
+    if not parts and not longer:
         return data
-    trials_made = tuple(
-        replace(trial, slot=slots.get(at, trial.slot)) for at, trial in enumerate(data.trials)
-    )
-    names = ", ".join(data.trials[at].name for at in slots)
-    note = f"not a replicate of its slot, for it is a part of the motion of the others: {names}"
-    return replace(data, trials=trials_made, notes=(*data.notes, note))
+    notes = list(data.notes)
+    if parts:
+        notes.append(f"left out, a part of the motion of their slot alone: {', '.join(parts)}")
+    if longer:
+        notes.append(f"no replicate, longer than the motion of their slot: {', '.join(longer)}")
+    return replace(data, trials=tuple(made), notes=tuple(notes))
 
 
-def _is_part(trial: Trial, trials: list[Trial]) -> bool:
+def _other_motion(trial: Trial, fellows: list[Trial]) -> float:
+    """Length in time over the usual one of a slot, if a trial is another motion; else 1."""
     if trial.settled:
-        return False
-    others = [one for one in trials if not one.settled]
+        return 1.0
+    others = [one for one in fellows if not one.settled]
     for name in _DRIVEN:
         if any(len(one.get(name)) < 2 * _END for one in others):
             continue
         lasting = np.array([np.ptp(one[name].time_s) for one in others])
         ratio = float(np.ptp(trial[name].time_s)) / max(float(np.median(lasting)), 1e-9)
         if 1.0 / _LONGER <= ratio <= _LONGER:
-            return False
+            return 1.0
         spread = float(np.median([np.ptp(one[name].value) for one in others]))
         usual = np.median([_ends(one[name].value) for one in others], axis=0)
         apart = float(np.abs(_ends(trial[name].value) - usual).max())
         if apart > _ELSEWHERE * spread > 0.0:
-            return True
-    return False
+            return ratio
+    return 1.0
 
 
 def _ends(value: Array) -> Array:
     return np.array([value[:_END].mean(), value[-_END:].mean()])
 
 
-def _free_name(slot: str, trial: Trial, taken: set[str]) -> str:
-    name = f"{slot} ({trial.replicate or trial.name})"
-    return name if name not in taken else f"{slot} ({trial.name})"
+def _free_name(trial: Trial, taken: set[str]) -> str:
+    name = f"{trial.slot} ({trial.replicate or trial.name})"
+    return name if name not in taken else f"{trial.slot} ({trial.name})"
