@@ -21,11 +21,13 @@ from gap.decision.diagnose import diagnose, diagnose_with_fit
 from gap.design.library import library_experiments
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem
+from gap.simulators.open import with_simulator
 from gap.validation.improved_plant import improved_plant
 from gap.verdict import Status
 from iso_6358 import mass_flow
 from plant.constants import nominal
 from plant.effects.effects import Effects
+from plant.effects.muscle.braid_friction import after_a_stroke
 from plant.errors import PlantError
 from plant.finger import FingerSim, load_finger
 from plant.simulator.bench import BenchSim
@@ -220,6 +222,50 @@ def test_friction_of_the_seals_is_named_and_gone_from_the_improved_cylinder(
     assert verdict.headline_gap is not None
     assert again.headline_gap is not None
     assert again.headline_gap.recalibrated < 0.1 * verdict.headline_gap.recalibrated
+
+
+PUSH = """def pull(pressure_kpa, length_mm, parameters):
+    return -parameters["area_mm2"] * pressure_kpa * 1e-3
+"""
+SIMULATOR = f"""kind = "python"
+function = "push.py:pull"
+stages = ["force"]
+static = true
+
+[parameters.area_mm2]
+nominal = {AREA * 1e6}
+tolerance = 2.0
+"""
+
+
+def test_the_same_strokes_against_a_function_of_area_and_pressure(tmp_path: Path) -> None:
+    """That it is a cylinder nobody says; what its seals held before is what leaves less."""
+    folder = cut_strokes(tmp_path / "set")
+    (folder / "bench.toml").unlink()
+    (tmp_path / "push.py").write_text(PUSH)
+    (tmp_path / "push.toml").write_text(SIMULATOR)
+    data = with_simulator(read_dataset(folder), tmp_path / "push.toml")
+    verdict, problem, fit = diagnose_with_fit(data)
+    assert verdict.effects[0].ids == ("braid_friction",)
+    found = verdict.effects[0].parameters
+    assert found["friction_n"].value == pytest.approx(5.4, rel=0.1)
+    assert found["growth_n_kpa"].value == pytest.approx(0.008, rel=0.1)
+    assert problem is not None
+    assert fit is not None
+    assert fit.candidates[0].shape["held"] == 1.0
+
+
+def test_seals_hold_from_the_stroke_before_where_a_trial_is_a_stroke_and_nowhere_else() -> None:
+    whole = np.r_[np.linspace(0.0, 4.0, 50), np.linspace(4.0, 0.0, 50)]
+    middle = np.r_[np.linspace(2.0, 4.0, 50), np.linspace(4.0, 0.0, 50)]
+    still = 1e-3 * np.random.default_rng(0).standard_normal(100)
+    still[0] = still.min() - 1e-4
+    paths = (whole, 4.0 - whole, middle, still, np.empty(0))
+    first = np.r_[0, np.cumsum([len(path) for path in paths])].astype(np.int64)
+    made, travel = after_a_stroke(first, np.concatenate(paths), np.ones(len(paths), dtype=bool))
+    assert np.delete(travel, made[:-1]) == pytest.approx(np.concatenate(paths))
+    came = [travel[made[k] + 1] - travel[made[k]] for k in range(4)]
+    assert came == pytest.approx([-2.0, 2.0, 0.0, 0.0])
 
 
 def test_what_has_no_replicates_is_as_noisy_as_the_rest(tmp_path: Path) -> None:

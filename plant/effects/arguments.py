@@ -23,6 +23,7 @@ Array = Any
 """Floats or float64 arrays: in compiled code one number, elsewhere one a sample."""
 Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from plant.constants import PlantConstants
 from plant.effects.arguments import (
     Array,
     Context,
+    Flags,
     Params,
     Points,
     Shape,
@@ -31,13 +31,12 @@ from plant.physics.layout import LENGTH, PRESSURE, SLIP, SLIP_ELEMENTS
 
 FORCE, TRAVEL_PRESSURE, TRAVEL_LENGTH = 34, 35, 36  # N, Pa, m
 WITH_PRESSURE = 69  # share that goes with the pressure
-Flags = npt.NDArray[np.bool_]
 _TRAVELS = ((40.0, 0.4), (10.0, 0.1), (120.0, 1.2), (40.0, 0.1), (10.0, 0.5), (60.0, 2.5))
 """Rise of pressure (kPa) and shortening (mm) after which all fibres slip."""
 _PRESSED_PA = 2e3
 """Gauge pressure from which fibres rub whose friction does not go with pressure alone."""
 _AT_END = 0.1
-"""Share of its travel within which a cylinder stands at an end of it."""
+"""Share of a trial's travel within which it begins at an end of it."""
 _PAST_ALL = 2.0
 """Travel after which every element slips, from whatever it was before."""
 _NO_SLIP_PA = 1e15
@@ -98,7 +97,7 @@ def _stated(shape: Shape, values: Values, c: PlantConstants) -> Shape:
     }
 
 
-def _after_a_stroke(first: Whole, travel: Array, held: Flags) -> tuple[Whole, Array]:
+def after_a_stroke(first: Whole, travel: Array, held: Flags) -> tuple[Whole, Array]:
     """Paths with one more point before each trial that begins at an end of its travel.
 
     What stands at an end came there by the stroke before, and its contacts still hold that way.
@@ -111,6 +110,8 @@ def _after_a_stroke(first: Whole, travel: Array, held: Flags) -> tuple[Whole, Ar
         if b - a < 2 or not held[trial]:
             continue
         low, high = float(travel[a:b].min()), float(travel[a:b].max())
+        if high - low < _PAST_ALL:
+            continue  # noise, or no stroke
         near = _AT_END * (high - low)
         way = float(travel[a] - low < near) - float(high - travel[a] < near)
         before[trial] = way * _PAST_ALL
@@ -134,7 +135,7 @@ def _force(
     if before:
         # A muscle that begins without pressure begins with fibres at rest.
         begun = p[np.minimum(first[:-1], len(p) - 1)] > _PRESSED_PA
-        first, travel = _after_a_stroke(first, travel, begun | seals)
+        first, travel = after_a_stroke(first, travel, begun | seals)
     slip = np.zeros(len(travel))
     paths.slip(first, travel, slip)
     if before:
