@@ -219,7 +219,8 @@ def page(outcomes: list[Outcome]) -> str:
 
 _SEEN = """What friction does in the diagnosis was mended on the eleven seals and shapes, on
 2026-11-27; before, none of the seven round seals had friction alone as its first entry. The four
-repeats were put to it once, afterwards."""
+repeats were put to it afterwards: friction led in all, alone in two. Parts of strokes are left out
+since."""
 
 
 def _seals(outcomes: list[Outcome]) -> list[str]:
