@@ -127,7 +127,7 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
     noise.freedom = sum(len(members) - 1 for members in data.slots.values())
     if pairs:
         start = noise.white.copy()
-        _learn(noise, pairs, prior, classes)
+        _learn(noise, pairs, prior, classes, not data.settled)
         z, trend = _trend(model, c, noise, pairs)
         if z > ESTIMATION.trend_requested:
             # Replicates far apart share no slow change: what they differ by through it is not
@@ -136,7 +136,7 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
             noise.white = start
             for pair in pairs:
                 pair.take_out(trend)
-            _learn(noise, pairs, prior, classes)
+            _learn(noise, pairs, prior, classes, not data.settled)
             height = _height(noise, pairs, trend)
             if z > ESTIMATION.trend_sd or height > ESTIMATION.trend_sd_without:
                 noise.trend = trend
@@ -343,7 +343,9 @@ def _height(noise: Noise, pairs: list[_Pair], trend: Array) -> float:
     return float((across + self_product) / np.sqrt(max(self_product, 1e-300)))
 
 
-def _learn(noise: Noise, pairs: list[_Pair], prior: dict[str, float], block: Whole) -> None:
+def _learn(
+    noise: Noise, pairs: list[_Pair], prior: dict[str, float], block: Whole, in_time: bool
+) -> None:
     """Move variances towards the replicates' differences, a few rounds."""
     numbers = np.unique(block).astype(int).tolist()
     factor = dict.fromkeys(numbers, 1.0)
@@ -386,7 +388,8 @@ def _learn(noise: Noise, pairs: list[_Pair], prior: dict[str, float], block: Who
             if size[number] > 0.0:
                 factor[number] = (20.0 + spread[number]) / (20.0 + size[number])
     _as_in_nearest(factor, size)
-    _no_more_than_seen(pairs, variance, prior)
+    if in_time:
+        _no_more_than_seen(pairs, variance, prior)
     noise.scales = {kind: float(np.sqrt(v)) for kind, v in variance.items()}
     for number in numbers:
         noise.white[block == number] *= factor[number]
@@ -407,7 +410,8 @@ def _no_more_than_seen(
 
     A change of friction from one stroke to the next looks like zeros and gains of pressure and
     force that cancel in all else, and may be of any size then. Independent zeros and gains of that
-    size would make differences many times larger than any that was seen.
+    size would make differences many times larger than any that was seen. Tables of settled points
+    hold no strokes: there the usual sizes are a hand's, and few replicates do not gainsay them.
     """
     seen = said = 0.0
     for pair in pairs:
