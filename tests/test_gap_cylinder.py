@@ -100,6 +100,15 @@ def seals(length_mm: Array) -> Array:
     return bent
 
 
+def written(folder: Path, trials: list[dict[str, object]], samples: list[pd.DataFrame]) -> Path:
+    """A data set of a bench as stated."""
+    folder.mkdir(parents=True)
+    pd.DataFrame(trials).to_csv(folder / "trials.csv", index=False)
+    pd.concat(samples).to_csv(folder / "samples.csv", index=False)
+    write_bench(folder, CYLINDER)
+    return folder
+
+
 def cut_strokes(folder: Path) -> Path:
     """Strokes at four pressures that a regulator holds, cut out of one recording each.
 
@@ -107,7 +116,8 @@ def cut_strokes(folder: Path) -> Path:
     8 to 11 mm/s and back at 13, a laser that jumps in one reading of fifty, part of a stroke first.
     """
     rng = np.random.default_rng(5)
-    trials, samples = [], []
+    trials: list[dict[str, object]] = []
+    samples = []
     for bar in (1, 3, 5, 7):
         out_s = 40.0 / (11.5 - 0.5 * bar)
         period_s = out_s + 40.0 / 13.0
@@ -130,11 +140,7 @@ def cut_strokes(folder: Path) -> Path:
                 "length_mm": laser[here],
             }  # fmt: skip
             samples.append(pd.DataFrame(columns))
-    folder.mkdir(parents=True)
-    pd.DataFrame(trials).to_csv(folder / "trials.csv", index=False)
-    pd.concat(samples).to_csv(folder / "samples.csv", index=False)
-    write_bench(folder, CYLINDER)
-    return folder
+    return written(folder, trials, samples)
 
 
 def write_bench(folder: Path, stated: dict[str, object]) -> None:
@@ -146,7 +152,8 @@ def write_bench(folder: Path, stated: dict[str, object]) -> None:
 def recorded(folder: Path, area: float = AREA, leak: float = 0.0, friction_n: float = 0.0) -> Path:
     """Three held lengths and two moved ones, three replicates each, in the dataset format."""
     rng = np.random.default_rng(3)
-    trials, samples = [], []
+    trials: list[dict[str, object]] = []
+    samples = []
     for slot, (middle, swing) in enumerate([(15, 0), (35, 0), (60, 0), (35, 1), (40, 25)]):
         length = stage(middle, swing)
         kpa = pressure(middle, swing, area, leak)
@@ -167,11 +174,7 @@ def recorded(folder: Path, area: float = AREA, leak: float = 0.0, friction_n: fl
                 "length_mm": length + 0.01 * rng.standard_normal(len(TIME)),
             }  # fmt: skip
             samples.append(pd.DataFrame(columns))
-    folder.mkdir(parents=True)
-    pd.DataFrame(trials).to_csv(folder / "trials.csv", index=False)
-    pd.concat(samples).to_csv(folder / "samples.csv", index=False)
-    write_bench(folder, CYLINDER)
-    return folder
+    return written(folder, trials, samples)
 
 
 def test_the_bench_fills_a_cylinder_as_scipy_does() -> None:
