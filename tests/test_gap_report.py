@@ -163,6 +163,10 @@ def test_settings_are_said_with_their_units_and_what_is_told_apart_already_is_sa
     )
     already = experiment_sentence(Experiment("step", {}, 9.0, 12.0, 2, ("creep", "wear")))
     assert already.startswith("These data tell them apart already")
+    nothing = experiment_sentence(Experiment("step", {}, 222.5, 222.5, 2, ("creep", "wear")))
+    assert nothing.startswith(
+        "No test of the library adds to the separation between creep and wear"
+    )
 
 
 def test_comparisons_of_which_none_stands_out_are_not_said_to_show_it(liner: Examination) -> None:

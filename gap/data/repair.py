@@ -67,7 +67,7 @@ def _mark(trial: Trial) -> str | None:
 
 
 _SPIKE_SD = 8.0
-"""Height of a spike in sd of the noise around it, from which chance makes none in a million."""
+"""Height of a spike in sd of the noise around it: chance makes one in two million readings."""
 _COURSES = 0.5
 """Difference of the courses before and after a spike, over its height.
 
@@ -123,7 +123,7 @@ def spikes_of(value: Array) -> npt.NDArray[np.int64]:
     one_sided = np.all(off > 0.0, axis=0) | np.all(off < 0.0, axis=0)
     height = np.where(one_sided, np.abs(off).min(axis=0), 0.0)
     height[np.abs(before - after) > _COURSES * height] = 0.0
-    usual = [median_filter(np.abs(bend), around, mode="nearest") for around in (_AROUND, _NEAR)]
+    usual = [median_filter(np.abs(bend), around, mode="reflect") for around in (_AROUND, _NEAR)]
     sd = 1.4826 * np.maximum(*usual) / _OF_BEND
     resolution = float(np.diff(np.unique(value)).min(initial=np.inf))
     found = np.flatnonzero(height > _SPIKE_SD * np.where(sd > 0.0, sd, resolution)) + 2

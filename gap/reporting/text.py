@@ -150,6 +150,10 @@ def told_apart(effects: tuple[Explanation, ...]) -> list[tuple[str, str]]:
     return [(name, CATALOGUE[name].told_apart_by) for name in names]
 
 
+_WORTH_IT = 1.01
+"""Separation after an experiment over that before it, from which there is a reason to make it."""
+
+
 def experiment_sentence(experiment: Experiment, named: bool = True) -> str:
     """The next experiment, with the separation it promises.
 
@@ -169,6 +173,12 @@ def experiment_sentence(experiment: Experiment, named: bool = True) -> str:
     )
     if not math.isfinite(experiment.separation_after):
         return sentence(count)
+    if experiment.separation_after < _WORTH_IT * experiment.separation_now:
+        return sentence(
+            f"No test of the library adds to the separation{between}, now "
+            f"{experiment.separation_now:.1f} standard deviations as far as the forms of the "
+            "catalogue go: see below what tells them apart by itself"
+        )
     return already + sentence(
         f"{count}: the separation{between} would rise from {experiment.separation_now:.1f} to "
         f"{experiment.separation_after:.1f} standard deviations ({DESIGN.enough_sd:g} are right 95 "
