@@ -13,7 +13,7 @@ Each repair leaves a note for the reader of the verdict.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -149,13 +149,14 @@ def without_parts(data: DataSet) -> DataSet:
     ends elsewhere in what was driven. One that is much longer repeats more than they do: it gets a
     slot of its own.
     """
+    slots = data.slots
+    usual = {slot: _usual([data.trials[at] for at in members]) for slot, members in slots.items()}
     made: list[Trial] = []
     parts: list[str] = []
     longer: list[str] = []
-    taken = set(data.slots)
+    taken = set(slots)
     for trial in data.trials:
-        fellows = [data.trials[at] for at in data.slots[trial.slot]]
-        ratio = _other_motion(trial, fellows) if len(fellows) >= _FEWEST else 1.0
+        ratio = _other_motion(trial, usual[trial.slot])
         if ratio < 1.0:
             parts.append(trial.name)
         elif ratio > 1.0:
@@ -175,22 +176,38 @@ def without_parts(data: DataSet) -> DataSet:
     return replace(data, trials=tuple(made), notes=tuple(notes))
 
 
-def _other_motion(trial: Trial, fellows: list[Trial]) -> float:
+@dataclass(frozen=True)
+class _Usual:
+    """What the trials of a slot usually are: seconds, range and both ends of a driven channel."""
+
+    seconds: float
+    range: float
+    ends: Array
+
+
+def _usual(trials: list[Trial]) -> dict[str, _Usual]:
+    """The usual motion of a slot by driven channel; empty for settled points and few trials."""
+    others = [one for one in trials if not one.settled]
+    made: dict[str, _Usual] = {}
+    for name in _DRIVEN if len(trials) >= _FEWEST and others else ():
+        channels = [one.get(name) for one in others]
+        if min(len(channel) for channel in channels) >= 2 * _END:
+            made[name] = _Usual(
+                float(np.median([np.ptp(channel.time_s) for channel in channels])),
+                float(np.median([np.ptp(channel.value) for channel in channels])),
+                np.median([_ends(channel.value) for channel in channels], axis=0),
+            )
+    return made
+
+
+def _other_motion(trial: Trial, usual: dict[str, _Usual]) -> float:
     """Length in time over the usual one of a slot, if a trial is another motion; else 1."""
-    if trial.settled:
-        return 1.0
-    others = [one for one in fellows if not one.settled]
-    for name in _DRIVEN:
-        if any(len(one.get(name)) < 2 * _END for one in others):
-            continue
-        lasting = np.array([np.ptp(one[name].time_s) for one in others])
-        ratio = float(np.ptp(trial[name].time_s)) / max(float(np.median(lasting)), 1e-9)
+    for name, motion in usual.items() if not trial.settled else ():
+        ratio = float(np.ptp(trial[name].time_s)) / max(motion.seconds, 1e-9)
         if 1.0 / _LONGER <= ratio <= _LONGER:
             return 1.0
-        spread = float(np.median([np.ptp(one[name].value) for one in others]))
-        usual = np.median([_ends(one[name].value) for one in others], axis=0)
-        apart = float(np.abs(_ends(trial[name].value) - usual).max())
-        if apart > _ELSEWHERE * spread > 0.0:
+        apart = float(np.abs(_ends(trial[name].value) - motion.ends).max())
+        if apart > _ELSEWHERE * motion.range > 0.0:
             return ratio
     return 1.0
 

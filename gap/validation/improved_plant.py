@@ -102,19 +102,16 @@ def _correction_lines(correction: Correction) -> list[str]:
 
 def _shape(problem: FitProblem, fit: FitResult, name: str) -> Mapping[str, float]:
     """Shape parameters of the plant's form of an effect, where the fitted shape gives them."""
-    own = [(abs(a), s) for s, a in zip(fit.candidates, fit.amounts, strict=True) if s.id == name]
-    shape = max(own, key=lambda one: one[0])[1].shape
+    own = [(float(a), s) for s, a in zip(fit.candidates, fit.amounts, strict=True) if s.id == name]
+    shape = max(own, key=lambda one: abs(one[0]))[1].shape
     search = CATALOGUE[name].search
     context = problem.model.context(problem.constants(fit.shift), fit.active)
     made = dict(search.as_plant(shape, context)) if search.as_plant is not None else {}
-    if search.growth is not None and search.growth.key in shape:
-        total = sum(a for s, a in zip(fit.candidates, fit.amounts, strict=True) if s.id == name)
-        grown = sum(
-            a * s.shape[search.growth.key]
-            for s, a in zip(fit.candidates, fit.amounts, strict=True)
-            if s.id == name
-        )
-        made[search.growth.share] = float(grown / total) if total else shape[search.growth.key]
+    growth = search.growth
+    if growth is not None and growth.key in shape:
+        total = sum(amount for amount, _ in own)
+        grown = sum(amount * one.shape[growth.key] for amount, one in own)
+        made[growth.share] = grown / total if total else shape[growth.key]
     return made
 
 
