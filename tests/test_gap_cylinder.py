@@ -297,8 +297,8 @@ def test_friction_that_grows_with_pressure_is_named_in_strokes_cut_from_a_record
     found = verdict.effects[0].parameters
     assert found["friction_n"].value == pytest.approx(3.0 + 0.008 * 300.0, rel=0.05)
     assert found["growth_n_kpa"].low < 0.008 < found["growth_n_kpa"].high
-    assert verdict.notes[-2].endswith("alone: 1 bar 1, 3 bar 1, 5 bar 1, 7 bar 1")
-    assert verdict.notes[-1].endswith("slot: 1 bar 5, 3 bar 5, 5 bar 5, 7 bar 5")
+    assert verdict.notes[-2].endswith("repeats: 1 bar 1, 3 bar 1, 5 bar 1, 7 bar 1")
+    assert verdict.notes[-1].endswith("repeats: 1 bar 5, 3 bar 5, 5 bar 5, 7 bar 5")
     assert problem is not None
     assert fit is not None
     (folder / "bench.toml").write_text(improved_plant(problem, fit))

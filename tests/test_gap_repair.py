@@ -105,7 +105,7 @@ def test_half_a_stroke_is_left_out_where_the_others_are_whole() -> None:
     part = trial("1", "slow", 4.0, stroke()[200:])
     made = without_parts(data_of(part, *whole))
     assert [t.name for t in made.trials] == ["2", "3", "4"]
-    assert made.notes == ("left out, a part of the motion of their slot alone: 1",)
+    assert made.notes == ("left out, only a part of the motion that their slot repeats: 1",)
 
 
 def test_a_stroke_and_a_half_is_a_slot_of_its_own() -> None:
@@ -113,7 +113,7 @@ def test_a_stroke_and_a_half_is_a_slot_of_its_own() -> None:
     longer = trial("5", "slow", 12.0, np.r_[stroke(), stroke(1)[:200]])
     made = without_parts(data_of(*whole, longer))
     assert [t.slot for t in made.trials] == ["slow", "slow", "slow", "slow (5)"]
-    assert made.notes == ("no replicate, longer than the motion of their slot: 5",)
+    assert made.notes == ("slots of their own, longer than what their slot repeats: 5",)
 
 
 def test_the_bins_of_whole_strokes_are_not_those_of_a_part() -> None:
@@ -151,7 +151,7 @@ def test_spikes_are_replaced_and_said_to_be() -> None:
     assert np.abs(made.trials[0]["length_mm"].value - length).max() < 0.05
     assert made.trials[1] is data.trials[1]
     assert made.notes == (
-        "readings of length_mm that leave their course and are back with the next, taken from "
-        "their neighbours: 2, in trials such as a",
+        "spikes of length_mm, one reading each, replaced by the mean of their neighbours: "
+        "2, in trials such as a",
     )
     assert without_spikes(made) is made

@@ -58,6 +58,7 @@ def test_a_turn_stays_where_it_is(step: float) -> None:
     true = strokes(0, 40, 0, 40, 0, step=step)
     made = smoothed(noisy(true))
     off = made - true
+    # Far from level nothing is pooled, so that the noise stays: one sd, and chance on top.
     assert float(np.sqrt(np.mean(off**2))) < 1.1 * SD
     assert float(np.abs(off).max()) < 4.0 * SD
     turns = [int(k) for k in np.flatnonzero(np.diff(np.sign(np.diff(true))) != 0) + 1]

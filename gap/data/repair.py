@@ -105,8 +105,8 @@ def without_spikes(data: DataSet) -> DataSet:
     if not readings:
         return data
     note = (
-        f"readings of length_mm that leave their course and are back with the next, taken from "
-        f"their neighbours: {readings}, in trials such as {mended[0]}"
+        f"spikes of length_mm, one reading each, replaced by the mean of their neighbours: "
+        f"{readings}, in trials such as {mended[0]}"
     )
     return replace(data, trials=tuple(made), notes=(*data.notes, note))
 
@@ -170,9 +170,13 @@ def without_parts(data: DataSet) -> DataSet:
         return data
     notes = list(data.notes)
     if parts:
-        notes.append(f"left out, a part of the motion of their slot alone: {', '.join(parts)}")
+        notes.append(
+            f"left out, only a part of the motion that their slot repeats: {', '.join(parts)}"
+        )
     if longer:
-        notes.append(f"no replicate, longer than the motion of their slot: {', '.join(longer)}")
+        notes.append(
+            f"slots of their own, longer than what their slot repeats: {', '.join(longer)}"
+        )
     return replace(data, trials=tuple(made), notes=tuple(notes))
 
 
