@@ -112,14 +112,17 @@ class Chain:
     ) -> Array:
         points, grid = self._points["pressure"], self.grid
         parameters = self.problem.model._parameters(c, active)
+        context = self.problem.model.context(c, active)
+        reading = laws.gauge_straightened(points.reading, active, context)
         length = self.problem.model.length_in_braid(points, c, active)
         out = np.empty(len(points.reading))
         acting = self._acting if learn else np.empty(len(points.reading))
         chamber.replay(
-            parameters, points.first, points.time_s, np.ascontiguousarray(points.reading), length,
+            parameters, points.first, points.time_s, np.ascontiguousarray(reading), length,
             grid.supply, grid.first_edge, grid.edge_s, grid.edge_to, grid.edge_of, out, step,
             acting, learn=learn,
         )  # fmt: skip
+        out = laws.gauge_shows(out, active, context)
         return np.nan_to_num(out, nan=0.0, posinf=3e6, neginf=-1e5)
 
     def _instead(self, kept: frozenset[str], c: PlantConstants, active: Active) -> Array | float:

@@ -54,7 +54,7 @@ def _shown(supply: float, inside: float, params: Params, values: Values) -> floa
 
 
 def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
-    params[stage.DROOP] = amount * 1e3
+    params[stage.DROOP] += amount * 1e3
     params[stage.DROOP_TIME] = shape.get("tau_s", 0.0)
     params[stage.DROOP_BACK] = shape.get("back_s", 0.0)
 

@@ -13,7 +13,7 @@ def _reading(amount: float) -> tuple[float, float]:
 
 
 def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
-    params[stage.ZERO] = amount * 1e3
+    params[stage.ZERO] += amount * 1e3
 
 
 PRESSURE_ZERO = Effect(
