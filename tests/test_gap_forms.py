@@ -12,7 +12,7 @@ from gap.model import pressure as chamber
 from gap.model.force import Active, Context
 from plant.constants import nominal
 from plant.effects import pressure_stage as stage
-from plant.physics import layout
+from plant.physics import layout, muscle
 from test_gap_shapes import still
 
 C = nominal()
@@ -79,6 +79,19 @@ def test_an_area_that_changes_with_the_drop_is_the_stated_one_where_nothing_drop
     assert course("flow_area", "inlet", 0.2, {"drop": 1.0}, full)[-1] == pytest.approx(
         course("flow_area", "inlet", 0.0, {}, full)[-1], rel=2e-3
     )
+
+
+@pytest.mark.parametrize("soft_kpa", [30.0, 120.0, 1e4])
+def test_a_hose_whose_wall_stiffens_holds_the_gas_that_came_in(soft_kpa: float) -> None:
+    """A choked pulse brings as much gas with it as without; the rest is its isothermal law."""
+    pulse = [(0.06, 1), (0.068, 0)]
+    plain = course("dead_volume", "", 0.0, {}, pulse)[-1]
+    wide = course("dead_volume", "", 2.0, {"soft_kpa": soft_kpa}, pulse)[-1]
+    volume = muscle.braid_volume(HELD_M, C.braid_length_m, C.turns) + C.dead_volume_m3
+    gained = 2e-6 * np.expm1(-wide / (soft_kpa * 1e3)) / np.expm1(-300.0 / soft_kpa)
+    gas = (plain + C.atmosphere_pa) * volume
+    assert wide < 0.9 * plain
+    assert (wide + C.atmosphere_pa) * (volume + gained) == pytest.approx(gas, rel=2e-3)
 
 
 def pull(effects: Active, **fields: np.ndarray) -> np.ndarray:

@@ -102,6 +102,29 @@ def test_a_chain_of_real_stages_alone_gives_the_measurement(
         assert np.abs(chain.of_rows(end, rows)).max() < 1e-6, end
 
 
+def test_a_gauge_whose_scale_changes_is_straightened_for_the_chain(
+    examined: dict[str, Fitted],
+) -> None:
+    """A chain took such a gauge for a straight one: simulated from the command it was 50 kPa off
+    where the diagnosis left 1.5.
+    """
+    problem = examined["neither"].problem
+    gauge = next(s for s in problem.candidates if s.id == "pressure_gain")
+    curve = replace(gauge, shape={"at_0": 0.6, "at_1": 1.6, "at_2": 1.4})
+    fit = problem.at(problem.base.shift, [curve], np.array([6.0]), problem.base)
+    chain = Chain(problem, fit)
+    for end, rows in chain.run(chain.stages).items():
+        assert np.abs(chain.of_rows(end, rows)).max() < 1e-4, end
+    # What follows the measurement from afar and what runs free of it see the same gauge.
+    free = chain.of_rows("pressure", chain.free(fit.shift, fit.amounts)["pressure"])
+    followed = fit.residual[chain.rows_of("pressure")]
+    plain = chain.of_rows("pressure", chain.free(fit.shift, np.zeros(1))["pressure"])
+    assert (
+        np.corrcoef(free - plain, followed - problem.base.residual[chain.rows_of("pressure")])[0, 1]
+        > 0.8
+    )
+
+
 def test_with_the_gas_real_the_muscle_gets_what_was_measured(examined: dict[str, Fitted]) -> None:
     problem, fit = examined["muscle"].problem, examined["muscle"].fit
     chain = Chain(problem, fit)

@@ -179,6 +179,12 @@ def test_wear_counts_pressurisations_and_warmth_follows_the_bench() -> None:
     assert warm.plant.force_n / fresh.plant.force_n == pytest.approx(1.10, rel=1e-6)
 
 
+def test_a_scale_that_changes_is_refused_with_the_rig_named() -> None:
+    for name, numbers in (("pressure_gain", {"power": 1.0}), ("force_gain", {"at_1": 1.4})):
+        with pytest.raises(ConfigError, match=rf"effects.*{name}.*straight"):
+            bench(**{name: {"percent": 3.0, **numbers}})
+
+
 def test_an_effect_that_cannot_be_is_refused_with_the_rig_named() -> None:
     with pytest.raises(ConfigError, match=r"effects.*camera_distortion.*centre_mm"):
         bench(camera_distortion={"distortion_mm": 1.0, "centre_mm": 10.0})

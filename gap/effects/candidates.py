@@ -68,6 +68,12 @@ class Candidate:
         return {key: search.free[key] for key in self.shape if key in search.free}
 
     @property
+    def curved(self) -> bool:
+        """Whether its shape is the curve of `Search.curve`."""
+        curve = self.search.curve
+        return curve is not None and self.shape.keys() == curve.keys()
+
+    @property
     def defect(self) -> bool:
         """Whether it is a defect of the recording, not an effect of the catalogue."""
         return self.id not in CATALOGUE

@@ -37,7 +37,7 @@ def _force_late(force: Array, points: Points, amount: float) -> Array:
     return moved(points, force, -amount * 1e-3)
 
 
-def _pressure_late(p: Array, points: Points, amount: float) -> Array:
+def _pressure_late(p: Array, points: Points, amount: float, shape: Shape) -> Array:
     return moved(points, p, amount * 1e-3)
 
 

@@ -25,8 +25,10 @@ _Bend = tuple[_Linearity, Term]
 _INVERTED = 5
 _INVERTED_M = 1e-12
 """Most steps of an inversion, and the step from which on it is exact."""
-_STRAIGHTENED = 6
-"""Steps in which a reading is freed of a bend; each leaves the share by which the scale is off."""
+_STRAIGHTENED = 5
+_STRAIGHTENED_SHARE = 1e-4
+"""Steps of Newton's method that free a reading of a bend, and that of its slope, as a share of the
+largest reading."""
 _LEAST_SLOPE = 0.25
 _FARTHEST_M = 0.02
 """No camera that is called one shows a length this far from the true one."""
@@ -91,9 +93,9 @@ def true_pressure(points: Points, active: Active, context: Context) -> Array:
     p = gauge_straightened(points.pressure, active, context)
     for term in terms(active):
         if term.diagnosis.pressure is not None:
-            p = term.diagnosis.pressure(p, points, term.amount)
+            p = term.diagnosis.pressure(p, points, term.amount, term.shape)
     for term in terms(active):
-        if term.sensors.pressure is not None:
+        if term.sensors.pressure is not None and _straight(term, _of_gauge):
             gain, zero_kpa = term.sensors.pressure(term.amount)
             p = (p - zero_kpa * 1e3) / (1.0 + gain)
     # At the lower end of the gauge the muscle is vented: nothing is left, whatever the zero is.
@@ -110,8 +112,16 @@ def gauge_straightened(shown: Array, active: Active, context: Context) -> Array:
     return _straightened(shown, _bends(active, _of_gauge), context)
 
 
-def _bends(active: Active, of: Callable[[InDiagnosis], _Linearity | None]) -> list[_Bend]:
-    """The bends of one sensor; a shape without numbers is a straight scale."""
+_Of = Callable[[InDiagnosis], _Linearity | None]
+
+
+def _straight(term: Term, of: _Of) -> bool:
+    """Whether a term leaves the scale of a sensor straight: a shape without numbers does."""
+    return of(term.diagnosis) is None or not term.shape
+
+
+def _bends(active: Active, of: _Of) -> list[_Bend]:
+    """The bends of one sensor."""
     on = [(of(term.diagnosis), term) for term in terms(active) if term.shape]
     return [(bend, term) for bend, term in on if bend is not None]
 
@@ -133,9 +143,14 @@ def _bent(straight: Array, bends: list[_Bend], context: Context) -> Array:
 
 
 def _straightened(shown: Array, bends: list[_Bend], context: Context) -> Array:
+    if not bends or not len(shown):
+        return shown
     straight = shown
-    for _ in range(_STRAIGHTENED if bends else 0):
-        straight = straight + shown - _bent(straight, bends, context)
+    step = _STRAIGHTENED_SHARE * max(float(np.nanmax(np.abs(shown), initial=0.0)), 1e-9)
+    for _ in range(_STRAIGHTENED):
+        bent = _bent(straight, bends, context)
+        slope = (_bent(straight + step, bends, context) - bent) / step
+        straight = straight + (shown - bent) / np.maximum(slope, _LEAST_SLOPE)
     return straight
 
 
@@ -188,7 +203,7 @@ def rest_pull(points: Points, tared: Array, active: Active, context: Context) ->
 def force_read(force: Array, active: Active, context: Context) -> Array:
     """What the force sensor shows at true force `force`."""
     for term in terms(active):
-        if term.sensors.force is not None:
+        if term.sensors.force is not None and _straight(term, _of_cell):
             gain, zero = term.sensors.force(term.amount)
             force = force * (1.0 + gain) + zero
     return _bent(force, _bends(active, _of_cell), context)
@@ -198,7 +213,7 @@ def force_true(reading: Array, active: Active, context: Context) -> Array:
     """True force behind a reading."""
     reading = _straightened(reading, _bends(active, _of_cell), context)
     for term in reversed(terms(active)):
-        if term.sensors.force is not None:
+        if term.sensors.force is not None and _straight(term, _of_cell):
             gain, zero = term.sensors.force(term.amount)
             reading = (reading - zero) / (1.0 + gain)
     return reading

@@ -35,7 +35,7 @@ from plant.constants import (
 from plant.effects import pressure_stage as stage
 from plant.effects.reference import FULL_PRESSURE_PA
 from plant.physics import flow, layout, muscle, valve
-from plant.physics.lag import follow
+from plant.physics.lag import at_pressure, follow
 from plant.physics.layout import nominal_slots
 
 FOLLOW_S = 5.0
@@ -46,6 +46,7 @@ _factor = inlined(flow.subsonic_factor)
 _outward = called(flow.outward_drive)
 _braid_volume = inlined(muscle.braid_volume)
 _follow = inlined(follow)
+_lag = inlined(at_pressure)
 _opening = inlined(valve.opening)
 _following = inlined(valve.following)
 _PENDING = 256
@@ -88,6 +89,19 @@ def laminar_drop(absolute: float, outside: float) -> float:
     """
     at = 4e5 + outside
     return at * (absolute * absolute - outside * outside) / (at * at - outside * outside)
+
+
+@inlined
+def _widening(q: Any, p: float, at: float) -> float:
+    """Volume by which a hose that widens seems larger, m3.
+
+    That is the slope over p of (p + at) times the volume the hose has gained at p.
+    """
+    wide = q[stage.ELASTIC] * (2.0 * p + at)
+    if q[stage.STIFFENING] != 0.0:
+        soft = math.exp(-p / q[stage.STIFFENING_PA])
+        wide += q[stage.STIFFENING] * (1.0 - soft + (p + at) / q[stage.STIFFENING_PA] * soft)
+    return float(wide)
 
 
 @inlined
@@ -153,6 +167,7 @@ def _advance(
     vented = q[layout.CLOSING + 1]
     quiet = inlet == 0.0 and outlet == 0.0 and q[stage.LEAK] == 0.0 and q[stage.LEAK_LAMINAR] == 0.0
     quiet = quiet and q[stage.LINE] == 0.0 and q[stage.ELASTIC] == 0.0
+    quiet = quiet and q[stage.STIFFENING] == 0.0
     while left > 1e-12:
         p = s[0]
         flow_in = 0.0
@@ -171,7 +186,7 @@ def _advance(
                 warm = (p + at) / max(s[1] + at, _LEAST_SHARE * at)
                 flow_out /= math.sqrt(warm)
             # A hose that widens takes gas as if the volume were larger by this much.
-            wide = q[stage.ELASTIC] * (2.0 * max(p, 0.0) + at)
+            wide = _widening(q, max(p, 0.0), at)
             rate = k * heat * (flow_in - warm * flow_out) / (v + wide) - k * (p + at) * slope / v
             if q[stage.LINE] > 0.0:
                 rate -= q[stage.LINE] / v * (p - s[4]) / q[stage.LINE_TIME]
@@ -201,7 +216,7 @@ def _advance(
                 q, p_try, supply, inlet, outlet, s[3], scale, more_in, more_out
             )
             out2 /= math.sqrt(warm)
-            wide = q[stage.ELASTIC] * (2.0 * max(p_try, 0.0) + at)
+            wide = _widening(q, max(p_try, 0.0), at)
             rate2 = (
                 k * heat * (in2 - warm * out2) / (v_next + wide) - k * (p_try + at) * slope / v_next
             )
@@ -236,11 +251,12 @@ def _advance(
             s[3] = target
         if q[stage.LAG] > 0.0:
             seen = 0.5 * (p + p1)
+            late = _lag(q[stage.LAG], q[stage.LAG_WITH_PRESSURE], seen + at)
             if q[stage.LAG_BEFORE] > 0.0:
                 before = s[5]
                 s[5] += (seen - s[5]) * (1.0 - math.exp(-h / q[stage.LAG_BEFORE]))
                 seen = 0.5 * (before + s[5])
-            s[2] += (seen - s[2]) * (1.0 - math.exp(-h / q[stage.LAG]))
+            s[2] += (seen - s[2]) * (1.0 - math.exp(-h / late))
         else:
             s[2] = p1
         s[0] = max(p1, -0.99 * at)
@@ -549,16 +565,25 @@ def perturbed(plain: Any, changed: Any, path: Any, *arrays: Any) -> Any:
     return out
 
 
-def behind_lag(first: Any, time: Any, path: Any, lag_s: float) -> Any:
-    """What a first-order lag shows of a path that is straight between its nodes, trial by trial."""
+def behind_lag(first: Any, time: Any, path: Any, lag_s: float, power: float, at: float) -> Any:
+    """What a first-order lag shows of a path that is straight between its nodes, trial by trial.
+
+    Args:
+        power: of the absolute pressure, which the lag falls with.
+        at: pressure of the atmosphere, Pa.
+    """
     out = np.empty(len(time))
-    _lag(first, time, path, lag_s, out)
+    _behind_lag(first, time, path, lag_s, power, at, out)
     return out
 
 
 def _build_lag(sources: int) -> Callable[..., None]:
-    @entry_point("void(int64[::1], float64[::1], float64[::1], float64, float64[::1])")
-    def lag(first: Any, time: Any, path: Any, lag_s: float, out: Any) -> None:
+    @entry_point(
+        "void(int64[::1], float64[::1], float64[::1], float64, float64, float64, float64[::1])"
+    )
+    def lag(
+        first: Any, time: Any, path: Any, lag_s: float, power: float, at: float, out: Any
+    ) -> None:
         if sources < 0:
             return
         for t in range(len(first) - 1):
@@ -567,9 +592,10 @@ def _build_lag(sources: int) -> Callable[..., None]:
                     out[i] = path[i]
                     continue
                 h = time[i] - time[i - 1]
-                out[i] = _follow(out[i - 1], path[i - 1], path[i], h, lag_s)
+                late = _lag(lag_s, power, 0.5 * (path[i - 1] + path[i]) + at)
+                out[i] = _follow(out[i - 1], path[i - 1], path[i], h, late)
 
     return lag
 
 
-_lag = _build_lag(fingerprint())
+_behind_lag = _build_lag(fingerprint())

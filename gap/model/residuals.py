@@ -305,7 +305,10 @@ class Model:
         assert self.nominal is not None
         q, plain = self._parameters(c, active), self._parameters(c, [])
         zero, gain = float(q[pressure_stage.ZERO]), float(q[pressure_stage.GAIN])
-        lags = float(q[pressure_stage.LAG]), float(q[pressure_stage.LAG_BEFORE])
+        lags = (
+            (float(q[pressure_stage.LAG]), float(q[pressure_stage.LAG_WITH_PRESSURE])),
+            (float(q[pressure_stage.LAG_BEFORE]), 0.0),
+        )
         q[[getattr(pressure_stage, of) for of in ("ZERO", "GAIN", "LAG", "LAG_BEFORE")]] = 0.0
         path = self.nominal.pressure_from(self.nominal.shift(active), zero, gain)
         context = replace(self._plain_context, constants=c)
@@ -317,9 +320,11 @@ class Model:
                 (plain, stated), (q, length), path, points.first, points.time_s,
                 grid.supply, grid.first_edge, grid.edge_s, grid.edge_to, grid.edge_of,
             )  # fmt: skip
-        for lag_s in lags:
+        for lag_s, power in lags:
             if lag_s > 0.0:
-                path = chamber.behind_lag(points.first, points.time_s, path, lag_s)
+                path = chamber.behind_lag(
+                    points.first, points.time_s, path, lag_s, power, c.atmosphere_pa
+                )
         return laws.gauge_shows(path * (1.0 + gain) + zero, active, context)
 
     def length_in_braid(self, points: Points, c: PlantConstants, active: Active) -> Array:

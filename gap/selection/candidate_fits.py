@@ -15,6 +15,7 @@ from gap.selection.config import SELECTION, SelectionConfig
 from gap.selection.inclusion import excess_chi2
 from plant.arrays import Array
 from plant.constants import KEYS
+from plant.effects.arguments import Shape
 from plant.effects.catalogue import CATALOGUE
 
 MOUNTINGS = "mountings"
@@ -216,23 +217,26 @@ def rivals_in_best_form(
     )
     leading = [h for h in tried[: config.rivals_in_best_form] if h.cost <= near]
     made = [
-        _in_whole_form(problem, in_best_form(problem, before, h, linear), config) for h in leading
+        _in_whole_form(problem, before, in_best_form(problem, before, h, linear), config)
+        for h in leading
     ]
     return sorted(made + tried[len(leading) :], key=lambda hypothesis: hypothesis.cost)
 
 
 def _in_whole_form(
-    problem: FitProblem, hypothesis: Hypothesis, config: SelectionConfig
+    problem: FitProblem, before: FitResult, hypothesis: Hypothesis, config: SelectionConfig
 ) -> Hypothesis:
     """The last effect with all that belongs to its form.
 
     Of an effect whose size may grow with pressure that is the part that goes with the pressure and
     the part that does not: without one of them it would lose to another effect that has the
-    pressure in it. What was before the data is as leaves less.
+    pressure in it. What was before the data is as leaves less. A scale may follow a curve.
     """
     search = hypothesis.fit.candidates[-1].search
     if search.either:
         hypothesis = _either(problem, hypothesis, search.either, config)
+    if search.curve is not None:
+        return _along_curve(problem, before, hypothesis, search.curve, config)
     if search.growth is None:
         return hypothesis
     gap = excess_chi2(problem, problem.base)
@@ -257,6 +261,34 @@ def _either(
     return Hypothesis(hypothesis.keys, fit_shapes(problem, other))
 
 
+def _along_curve(
+    problem: FitProblem,
+    before: FitResult,
+    hypothesis: Hypothesis,
+    curve: Shape,
+    config: SelectionConfig,
+) -> Hypothesis:
+    """The last effect along a curve, where that takes most of what its other forms leave.
+
+    A curve has several numbers more, and so must be needed.
+    """
+    fit = hypothesis.fit
+    left = excess_chi2(problem, fit)
+    if left < config.curve_of_gap * excess_chi2(problem, problem.base):
+        return hypothesis
+    others, amounts = list(before.candidates), list(before.amounts)
+    candidate = replace(fit.candidates[-1], shape=curve)
+    total = float(fit.amounts[len(others) :].sum())
+    ends = []
+    for start in (problem.fit, problem.fit_afresh):
+        end = start([*others, candidate], [*amounts, total])
+        ends.append(fit_shapes(problem, problem.polish(fit_shapes(problem, end))))
+    best = min(ends, key=lambda end: end.cost)
+    if left - excess_chi2(problem, best) < config.curve_of_left * left:
+        return hypothesis
+    return Hypothesis(hypothesis.keys, best)
+
+
 def near_cost(problem: FitProblem, least: float, config: SelectionConfig = SELECTION) -> float:
     """Cost up to which a hypothesis is a near rival of one with cost `least`."""
     rows = len(problem.rows)
@@ -276,7 +308,7 @@ def with_second_shape(
         return None
     used = {id(candidate) for candidate in fit.candidates}
     at = [j for j in linear.of_key(key) if id(problem.candidates[j]) not in used]
-    if not at or problem.candidates[at[0]].search.one_shape:
+    if not at or problem.candidates[at[0]].search.one_shape or fit.candidates[-1].curved:
         return None
     left = excess_chi2(problem, fit)
     share = min(config.second_shape_of_gap * gap, config.second_shape_of_left * left)

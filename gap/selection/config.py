@@ -70,6 +70,11 @@ class SelectionConfig:
     second_shape_fitted: float = 15.0
     """Least gain of the second shape once it is fitted."""
 
+    curve_of_gap: float = 0.1
+    curve_of_left: float = 0.5
+    """Share of the gap that the other forms of an effect leave at least, and share of that which a
+    curve must take. A matter of definition; no other values were tried."""
+
     # Inclusion test of a further effect
     further_visibility: float = 0.45
     """Least drop of the residual in some block, in units of its floor.

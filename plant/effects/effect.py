@@ -108,7 +108,11 @@ class InSensors:
 
     Attributes:
         pressure: (amount) -> gain and zero in kPa: read = true (1 + gain) + zero.
+        pressure_bent: (true Pa, values) -> Pa that a scale which changes over the range reads
+            beyond a straight one.
+        scale_changes: (values) -> whether there is any.
         force: (amount) -> gain and zero in N.
+        force_bent: as `pressure_bent`, N.
         camera: (true length, values, constants) -> read minus true length. Raises `PlantError`.
         camera_delay: (amount) -> s by which the time stamps of frames are late.
         held: (amount) -> mm, true minus written length of a muscle that is held.
@@ -117,7 +121,10 @@ class InSensors:
     """
 
     pressure: Callable[[float], tuple[float, float]] | None = None
+    pressure_bent: Callable[[Array, Values], Array] | None = None
+    scale_changes: Callable[[Values], bool] | None = None
     force: Callable[[float], tuple[float, float]] | None = None
+    force_bent: Callable[[Array, Values], Array] | None = None
     camera: Callable[[Array, Values, PlantConstants], Array] | None = None
     camera_delay: Callable[[float], float] | None = None
     held: Callable[[float], float] | None = None
@@ -135,15 +142,15 @@ class InDiagnosis:
         length: (points, amount, shape) -> m, true minus read or written length.
         camera: (true length, amount, shape, constants) -> m, read minus true, at all times alike.
         camera_bends: whether `camera` is no straight line of the length.
-        pressure: (p, points, amount) -> true pressure before gain and zero of the gauge.
+        pressure: (p, points, amount, shape) -> true pressure before gain and zero of the gauge.
         lost: (p, amount, shape) -> pressure that does not reach the braid.
         shortened: (length, amount, shape, constants) -> m that the inner length is shorter.
         stretch: (p, length, amount, shape, constants) -> relative lengthening of the threads.
         force: (points, p, length, base, shape, context) -> force for an amount of one; `base` is
             the force of the braid.
         at_rest: whether `force` needs neither pressure nor a past, so that a tare takes it away.
-        force_linearity: (force, amount, shape, context) -> N by which a reading is off a straight
-            scale; zero for the shape without numbers.
+        force_linearity: (force, amount, shape, context) -> N by which a reading is off because the
+            scale changes over the range. A shape without numbers is a straight scale.
         pressure_linearity: the same for a gauge, Pa.
         force_shown: (force, points, amount) -> force after what the record does to it.
         pressure_shown: (pressure, points, amount) -> pressure after what the record does to it.
@@ -164,7 +171,7 @@ class InDiagnosis:
     length: Callable[[Points, float, Shape], Array] | None = None
     camera: Callable[[Array, float, Shape, PlantConstants], Array] | None = None
     camera_bends: bool = False
-    pressure: Callable[[Array, Points, float], Array] | None = None
+    pressure: Callable[[Array, Points, float, Shape], Array] | None = None
     lost: Callable[[Array, float, Shape], Array] | None = None
     shortened: Callable[[Array, float, Shape, PlantConstants], Array] | None = None
     stretch: Callable[[Array, Array, float, Shape, PlantConstants], Array] | None = None
@@ -228,6 +235,8 @@ class Search:
             shapes with `only_mm`.
         growth: how its size may grow with pressure, where shapes with and without it exist.
         either: key that a shape may have as 1, if that leaves less: what was before the data.
+        curve: a shape with more numbers than the others, from where its fit starts. It is tried
+            where all others leave much.
     """
 
     step: float
@@ -246,6 +255,7 @@ class Search:
     each_label: bool = False
     growth: Growth | None = None
     either: str = ""
+    curve: Shape | None = None
 
 
 def same_numbers(**parameters: str) -> Callable[[Shape, Context], Mapping[str, float]]:

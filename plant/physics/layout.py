@@ -71,7 +71,8 @@ PRESSURE_LAG = 59  # s, of the transducer
 DEAD_BAND = 64  # (inlet, outlet) share of the command up to which the valve is shut
 CLOSING = 66  # Pa; (inlet, outlet) difference of pressures below which the valve falls shut
 SPOOL_LAG = 68  # s, of the opening; 0 without one
-FREE_SLOT = 70  # from here on for effects of installed packages; 69 is of the braid friction
+LAG_WITH_PRESSURE = 70  # power of the absolute pressure that the transducer's lag falls with
+FREE_SLOT = 71  # from here on for effects of installed packages; 69 is of the braid friction
 PARAMS_SIZE = 96  # the rest is kept at zero for what is still to come
 
 # Inputs that a recording may hold, as numbered in the compiled batch runner.

@@ -44,15 +44,25 @@ def readings(traces: Traces, constants: PlantConstants, effects: Effects) -> Rea
 
 
 def read_pressure(true_kpa: npt.ArrayLike, effects: Effects) -> Array:
-    """Transducer with gain and zero, kPa: true (1 + gain) + zero."""
+    """Transducer with gain and zero, kPa: true (1 + gain) + zero; the gain may change with it."""
     gain, zero_kpa = pressure_error(effects)
-    return np.asarray(np.asarray(true_kpa) * (1.0 + gain) + zero_kpa)
+    true = np.asarray(true_kpa, dtype=np.float64)
+    read = true * (1.0 + gain) + zero_kpa
+    for effect, values in effects.active():
+        if effect.sensors.pressure_bent is not None:
+            read = read + effect.sensors.pressure_bent(true * 1e3, values) * 1e-3
+    return np.asarray(read)
 
 
 def read_force(true_n: npt.ArrayLike, effects: Effects) -> Array:
-    """Force sensor with gain and zero, N: true (1 + gain) + zero."""
+    """Force sensor with gain and zero, N: true (1 + gain) + zero; the gain may change with it."""
     gain, zero_n = force_error(effects)
-    return np.asarray(np.asarray(true_n) * (1.0 + gain) + zero_n)
+    true = np.asarray(true_n, dtype=np.float64)
+    read = true * (1.0 + gain) + zero_n
+    for effect, values in effects.active():
+        if effect.sensors.force_bent is not None:
+            read = read + effect.sensors.force_bent(true, values)
+    return np.asarray(read)
 
 
 def pressure_error(effects: Effects) -> tuple[float, float]:

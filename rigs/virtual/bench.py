@@ -27,7 +27,7 @@ from rigs.virtual.emulators.balance import VirtualBalance
 from rigs.virtual.emulators.emulator import Emulator
 from rigs.virtual.emulators.pictures.camera import CameraModel, led_exposure, render
 from rigs.virtual.emulators.pictures.joint_eye import EXPOSURE_S, JointEye
-from rigs.virtual.emulators.sensor_error import SensorError
+from rigs.virtual.emulators.sensor_error import SensorError, refuse_changing_scales
 from rigs.virtual.extras import Extras
 
 DRIFT = 25e-6
@@ -118,6 +118,7 @@ class VirtualBench:
         try:
             constants = nominal().with_overrides(self._v.plant)
             effects = Effects.from_config(self._v.effects)
+            refuse_changing_scales(effects)
             low = self.config.limits.length_min_mm
             high = self.config.limits.length_max_mm
             if self._v.load == "ram":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from plant.constants import PlantConstants
 from plant.effects import pressure_stage as stage
 from plant.effects.arguments import Params, Shape, Values
@@ -20,8 +22,13 @@ def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
 def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
     if "elastic" in shape:
         params[stage.ELASTIC] += amount * 1e-6 / _STATED_PA
+    elif "soft_kpa" in shape:
+        # An exponential law of the wall, as of blood vessels: stated as the linear one.
+        soft = shape["soft_kpa"] * 1e3
+        params[stage.STIFFENING] += amount * 1e-6 / -math.expm1(-_STATED_PA / soft)
+        params[stage.STIFFENING_PA] = soft
     elif "line_s" in shape:
-        params[stage.LINE] = max(amount, 0.0) * 1e-6
+        params[stage.LINE] += max(amount, 0.0) * 1e-6
         params[stage.LINE_TIME] = shape["line_s"]
     else:
         params[layout.DEAD_VOLUME] += amount * 1e-6
@@ -51,7 +58,7 @@ DEAD_VOLUME = Effect(
         step=0.1,
         sign=1,
         blocks=("pressure",),
-        shapes=({}, {"elastic": 1.0}, {"line_s": 0.01}, {"line_s": 0.06}),
-        free={"line_s": (0.001, 0.3)},
+        shapes=({}, {"elastic": 1.0}, {"soft_kpa": 180.0}, {"line_s": 0.01}, {"line_s": 0.06}),
+        free={"line_s": (0.001, 0.3), "soft_kpa": (20.0, 1500.0)},
     ),
 )

@@ -2,14 +2,41 @@
 
 from __future__ import annotations
 
-from plant.effects.arguments import Array, Context, Shape
-from plant.effects.effect import EachTrial, Effect, InDiagnosis, InSensors, Parameter, Search
-from plant.effects.sensors.linearity import POWERS, linearity
+from plant.constants import PlantConstants
+from plant.effects.arguments import Array, Context, Shape, Values
+from plant.effects.effect import EachTrial, Effect, InDiagnosis, InSensors, Search
+from plant.effects.sensors.linearity import (
+    CALIBRATION_CURVE,
+    FREE,
+    SHAPES,
+    as_parameters,
+    beyond_straight,
+    changes,
+    linearity,
+    parameters,
+    stated,
+)
 from plant.effects.standards import WEIGHTS
 
 
 def _linearity(force: Array, amount: float, shape: Shape, context: Context) -> Array:
-    return amount / 100.0 * linearity(force, context.full_n, shape.get("power", 0.0))
+    return amount / 100.0 * linearity(force, context.full_n, shape)
+
+
+def _full(values: Values) -> float:
+    return float(values["full_n"])
+
+
+def _stated(shape: Shape, values: Values, c: PlantConstants) -> Shape:
+    return stated(values, _full(values))
+
+
+def _bent(true: Array, values: Values) -> Array:
+    return beyond_straight(true, values, _full(values))
+
+
+def _as_plant(shape: Shape, context: Context) -> dict[str, float]:
+    return as_parameters(shape, "full_n", context.full_n)
 
 
 def _reading(amount: float) -> tuple[float, float]:
@@ -21,24 +48,26 @@ FORCE_GAIN = Effect(
     "force_sensor",
     "sensor",
     "scale of the force reading",
-    (Parameter("percent", "%", "read over true", -30, 30),),
+    parameters("N", 50.0),
     "the unloaded reading; pressure and length; timing",
     ("pressure_gain", "fibre_stretch", "temperature_stiffening"),
     "dead weights over the range",
-    equation="read = true (1 + percent / 100)",
+    equation="read = true (1 + percent / 100 c(true / full)), c = 1 on a straight scale",
     source="VIM 4.12 (sensitivity)",
     standard="dead weights over the range",
     constants=("braid_length_mm", "turns"),
     calibration="force_gain_percent",
     each_trial=(EachTrial("force gain", 0.3, ("force", "load")),),
     reference=(WEIGHTS, 0.1),
-    sensors=InSensors(force=_reading),
-    diagnosis=InDiagnosis(force_linearity=_linearity),
+    sensors=InSensors(force=_reading, force_bent=_bent, scale_changes=changes),
+    diagnosis=InDiagnosis(force_linearity=_linearity, stated=_stated),
     search=Search(
         step=0.5,
         sign=0,
         blocks=("force", "load"),
-        shapes=({}, {"power": 1.0}),
-        free={"power": POWERS},
+        shapes=SHAPES,
+        free=FREE,
+        curve=CALIBRATION_CURVE,
+        as_plant=_as_plant,
     ),
 )

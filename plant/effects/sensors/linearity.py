@@ -2,18 +2,95 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+
 import numpy as np
 
-from plant.effects.arguments import Array
+from plant.effects.arguments import Array, Shape, Values
+from plant.effects.effect import Parameter
 
 POWERS = (0.3, 3.0)
 """What a bend may be: from one at the foot of the range to one at its upper end."""
+_CURVE = ("at_0", "at_1", "at_2")
+"""Control points of a calibration curve at 0, 1/3 and 2/3 of the full value, over that at it."""
+_FULL = "full"
+"""Full value, SI, of a scale that a plant file states."""
+FREE: Mapping[str, tuple[float, float]] = {"power": POWERS, **dict.fromkeys(_CURVE, (0.1, 10.0))}
+"""Numbers of these shapes that a fit may move, with the range of each."""
+SHAPES: tuple[Shape, ...] = ({}, {"power": 1.0})
+"""A straight scale, and one that is off by a power of the value."""
+CALIBRATION_CURVE: Shape = dict.fromkeys(_CURVE, 1.0)
+"""A scale that is off by any smooth curve, from a straight one on."""
 
 
-def linearity(straight: Array, full: float, power: float) -> Array:
-    """Error beyond that of a straight scale that is as far off at the full value, in its unit.
+def parameters(unit: str, full: float) -> tuple[Parameter, ...]:
+    """Parameters of a scale that is wrong: a straight one unless more is stated than `percent`.
 
-    The scale is off by a share that grows with a power of the value: a linearity error between
-    zero and the full value (IEC 61298-2). Zero for a power of zero.
+    Args:
+        unit: of the reading.
+        full: reading at which `percent` is stated by default.
     """
-    return straight * (np.abs(straight / full) ** power - 1.0)
+    return (
+        Parameter("percent", "%", "read over true", -30, 30),
+        Parameter("power", "", "of true / full that the error in percent goes with", 0, 3, 0.0),
+        *(
+            Parameter(
+                name, "", f"error in percent at {share} of full over that at full", 0.1, 10, 1.0
+            )
+            for name, share in zip(_CURVE, ("zero", "1/3", "2/3"), strict=True)
+        ),
+        Parameter(
+            f"full_{unit.lower()}", unit, "true value at which percent is stated", 1, 1e5, full
+        ),
+    )
+
+
+def stated(values: Values, full: float) -> Shape:
+    """Shape of the scale that parameters state, empty for a straight one; `full` in SI units."""
+    curve = {name: float(values[name]) for name in _CURVE}
+    shape = {"power": float(values["power"])} if values["power"] else {}
+    if any(number != 1.0 for number in curve.values()):
+        shape |= curve
+    return {**shape, _FULL: full} if shape else {}
+
+
+def changes(values: Values) -> bool:
+    """Whether the scale that parameters state changes over the range."""
+    return bool(stated(values, 1.0))
+
+
+def as_parameters(shape: Shape, name: str, full: float) -> dict[str, float]:
+    """Parameters other than `percent` that give a shape; `name` and `full` as in `parameters`."""
+    made = {key: value for key, value in shape.items() if key != _FULL}
+    return {**made, name: full} if made else {}
+
+
+def beyond_straight(true: Array, values: Values, full: float) -> Array:
+    """What a reading gains over that of a straight scale as far off at the full value."""
+    shape = stated(values, full)
+    if not shape:
+        return np.zeros_like(true)
+    return float(values["percent"]) / 100.0 * (linearity(true, full, shape) - true)
+
+
+def linearity(value: Array, full: float, shape: Shape) -> Array:
+    """Error of a scale of this shape that is off by all there is at the full value, in its unit.
+
+    The scale is off by a share that grows with a power of the value, times one whose logarithm is a
+    polynomial of the third degree (in Bernstein's form): a linearity error between zero and the
+    full value (IEC 61298-2). Beyond the full value it is off by what it is there. Zero for a
+    straight scale. A full value in the shape takes the place of `full`.
+    """
+    if not shape:
+        return np.zeros_like(value)
+    x = np.minimum(np.abs(value / shape.get(_FULL, full)), 1.0)
+    error = value
+    if "power" in shape:
+        error = error * x ** shape["power"]
+    if _CURVE[0] in shape:
+        y = 1.0 - x
+        at_0, at_1, at_2 = (math.log(shape[key]) for key in _CURVE)
+        bent = y * (y * (y * at_0 + 3.0 * x * at_1) + 3.0 * x * x * at_2)
+        error = error * np.exp(bent)
+    return np.asarray(error)

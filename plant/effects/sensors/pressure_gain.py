@@ -2,15 +2,42 @@
 
 from __future__ import annotations
 
+from plant.constants import PlantConstants
 from plant.effects import pressure_stage as stage
-from plant.effects.arguments import Array, Context, Params, Shape
-from plant.effects.effect import EachTrial, Effect, InDiagnosis, InSensors, Parameter, Search
-from plant.effects.sensors.linearity import POWERS, linearity
+from plant.effects.arguments import Array, Context, Params, Shape, Values
+from plant.effects.effect import EachTrial, Effect, InDiagnosis, InSensors, Search
+from plant.effects.sensors.linearity import (
+    CALIBRATION_CURVE,
+    FREE,
+    SHAPES,
+    as_parameters,
+    beyond_straight,
+    changes,
+    linearity,
+    parameters,
+    stated,
+)
 from plant.effects.standards import GAUGE
 
 
 def _linearity(p: Array, amount: float, shape: Shape, context: Context) -> Array:
-    return amount / 100.0 * linearity(p, context.full_pa, shape.get("power", 0.0))
+    return amount / 100.0 * linearity(p, context.full_pa, shape)
+
+
+def _full(values: Values) -> float:
+    return float(values["full_kpa"]) * 1e3
+
+
+def _stated(shape: Shape, values: Values, c: PlantConstants) -> Shape:
+    return stated(values, _full(values))
+
+
+def _bent(true: Array, values: Values) -> Array:
+    return beyond_straight(true, values, _full(values))
+
+
+def _as_plant(shape: Shape, context: Context) -> dict[str, float]:
+    return as_parameters(shape, "full_kpa", context.full_pa * 1e-3)
 
 
 def _reading(amount: float) -> tuple[float, float]:
@@ -18,7 +45,8 @@ def _reading(amount: float) -> tuple[float, float]:
 
 
 def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
-    params[stage.GAIN] = _reading(amount)[0]
+    if not shape:
+        params[stage.GAIN] = (1.0 + params[stage.GAIN]) * (1.0 + _reading(amount)[0]) - 1.0
 
 
 PRESSURE_GAIN = Effect(
@@ -26,11 +54,11 @@ PRESSURE_GAIN = Effect(
     "pressure_sensor",
     "sensor",
     "scale of the pressure reading",
-    (Parameter("percent", "%", "read over true", -30, 30),),
+    parameters("kPa", 500.0),
     "the vented reading; timing",
     ("force_gain", "fibre_stretch"),
     "a reference gauge on the same line at one high pressure",
-    equation="read = true (1 + percent / 100)",
+    equation="read = true (1 + percent / 100 c(true / full)), c = 1 on a straight scale",
     source="VIM 4.12 (sensitivity)",
     standard="a reference pressure gauge",
     constants=("supply_kpa", "braid_length_mm", "turns"),
@@ -38,13 +66,15 @@ PRESSURE_GAIN = Effect(
     calibration="pressure_gain_percent",
     each_trial=(EachTrial("pressure gain", 0.3, ("pressure", "force", "load")),),
     reference=(GAUGE, 0.15),
-    sensors=InSensors(pressure=_reading),
-    diagnosis=InDiagnosis(gas=_gas, pressure_linearity=_linearity),
+    sensors=InSensors(pressure=_reading, pressure_bent=_bent, scale_changes=changes),
+    diagnosis=InDiagnosis(gas=_gas, pressure_linearity=_linearity, stated=_stated),
     search=Search(
         step=0.5,
         sign=0,
         blocks=("pressure", "force", "load"),
-        shapes=({}, {"power": 1.0}),
-        free={"power": POWERS},
+        shapes=SHAPES,
+        free=FREE,
+        curve=CALIBRATION_CURVE,
+        as_plant=_as_plant,
     ),
 )

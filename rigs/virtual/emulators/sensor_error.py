@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from plant.effects.effects import Effects
+from plant.errors import PlantError
 from plant.simulator.bench import BenchSim
 from plant.simulator.readings import (
     camera_delay_s,
@@ -21,6 +23,16 @@ from plant.simulator.simulate import held_offset_mm
 FRESH_KPA = 20.0
 USED_KPA = 60.0
 """A trial begins when the pressure rises past the upper of these, having been below the lower."""
+
+
+def refuse_changing_scales(effects: Effects) -> None:
+    """Raise `PlantError` for a scale that changes over its range: the instruments' are straight."""
+    for effect, values in effects.active():
+        if effect.sensors.scale_changes is not None and effect.sensors.scale_changes(values):
+            raise PlantError(
+                f"effects.{effect.id}: the virtual instruments have straight scales; "
+                "state percent alone"
+            )
 
 
 @dataclass
