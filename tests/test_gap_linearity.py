@@ -6,6 +6,7 @@ unknown, or was given another effect's name.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -187,3 +188,9 @@ def test_a_gauge_whose_scale_rises_and_falls_is_a_gauge_not_a_valve(tmp_path: Pa
     )  # fmt: skip
     verdict = diagnose(data)
     assert [effect.ids for effect in verdict.effects] == [("pressure_gain",)]
+    (note,) = [note for note in verdict.notes if note.startswith("pressure_gain changes")]
+    told = re.findall(r"([\d.]+) % at (\d+) kPa", note)
+    assert len(told) >= 3
+    for percent, kpa in told:
+        table = np.interp(float(kpa), [150.0, 300.0, 450.0, 700.0], [12.0, 14.0, 13.7, 10.0])
+        assert float(percent) == pytest.approx(table, abs=2.0)

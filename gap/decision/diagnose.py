@@ -100,6 +100,7 @@ def verdict_by_catalogue(
         left = doubts_left(problem, found.best.fit, found.gap, found.left)
         if left or not has_sure_effect(verdict):
             return _unfit_plant(data, left or doubtful), None, None
+    verdict = with_scales(verdict, problem, search.best.fit)
     return with_effects_by_trial(verdict, problem), problem, search
 
 
@@ -155,6 +156,37 @@ def with_empirical_term(verdict: Verdict, problem: FitProblem, search: SearchRes
     gains = sorted((k for k in search.first_gain if k in ids), key=lambda k: -search.first_gain[k])
     near = list(dict.fromkeys(ids[k] for k in gains if ids[k] not in fit.ids))[:_NEAREST]
     return replace(verdict, empirical=empirical_term(problem, fit, near))
+
+
+_SCALE_AT = (0.05, 1.0 / 3.0, 2.0 / 3.0, 1.0)
+"""Shares of the largest reading at which a note gives the error of a scale that changes."""
+
+
+def with_scales(verdict: Verdict, problem: FitProblem, fit: FitResult) -> Verdict:
+    """The verdict with a note on each scale of an explanation that changes over the range."""
+    context = problem.model.context(problem.constants(fit.shift), fit.active)
+    offered = {name for entry in verdict.effects for name in entry.ids}
+    notes = []
+    for name in (name for name in fit.ids if name in offered and name in CATALOGUE):
+        on = CATALOGUE[name].diagnosis
+        own = [s for s in zip(fit.candidates, fit.amounts, strict=True) if s[0].id == name]
+        for bend, full, unit, si in (
+            (on.pressure_linearity, context.full_pa, "kPa", 1e-3),
+            (on.force_linearity, context.full_n, "N", 1.0),
+        ):
+            if bend is None or not any(s.shape for s, _ in own):
+                continue
+            at = np.array(_SCALE_AT) * full
+            off = [
+                bend(at, float(a), s.shape, context) if s.shape else a / 100 * at for s, a in own
+            ]
+            percent = 100.0 * np.sum(off, axis=0) / at
+            told = ", ".join(
+                f"{p:.3g} % at {value * si:.3g} {unit}"
+                for p, value in zip(percent, at, strict=True)
+            )
+            notes.append(f"{name} changes over the range of the sensor: {told}")
+    return replace(verdict, notes=(*notes, *verdict.notes)) if notes else verdict
 
 
 _TRIALS_SHOWN = 6
