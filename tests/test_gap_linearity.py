@@ -7,6 +7,7 @@ unknown, or was given another effect's name.
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +20,11 @@ from gap.data.dataset import DataSet
 from gap.data.reader import read_dataset
 from gap.decision.diagnose import diagnose
 from gap.effects.terms import Active
+from gap.estimation.fit_problem import FitProblem
 from gap.model import force as laws
 from gap.model.pressure import parameters
+from gap.model.residuals import Model
+from gap.selection.candidate_fits import _parts_of_range
 from plant.arrays import Array
 from plant.constants import nominal
 from plant.effects import pressure_stage as stage
@@ -131,6 +135,18 @@ def test_plant_and_diagnosis_read_a_stated_scale_alike(
     shape = {**curve, "full": 70.0}
     shown = laws.force_read(true, [("force_gain", "", percent, shape)], CONTEXT)
     assert read_force(true, stated) == pytest.approx(shown)
+
+
+def test_a_curve_needs_readings_in_many_parts_of_the_range(tmp_path: Path) -> None:
+    """At three pressures a curve of the gauge took friction of a real piston for its own."""
+    swept = FitProblem.of(cell_that_saturates(tmp_path / "swept", percent=6.0))
+    cell = next(s for s in swept.candidates if s.id == "force_gain")
+    gauge = next(s for s in swept.candidates if s.id == "pressure_gain")
+    assert _parts_of_range(swept, cell) >= 6
+    assert _parts_of_range(swept, gauge) >= 6
+    few = replace(swept.rows, pressure=np.round(swept.rows.pressure, -5) // 2e5 * 2e5)
+    levels = replace(swept, model=Model(replace(swept.grid, rows=few)))
+    assert _parts_of_range(levels, gauge) == len(np.unique(few.pressure)) < 6
 
 
 def cell_that_saturates(folder: Path, percent: float) -> DataSet:

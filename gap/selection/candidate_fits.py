@@ -270,11 +270,14 @@ def _along_curve(
 ) -> Hypothesis:
     """The last effect along a curve, where that takes most of what its other forms leave.
 
-    A curve has several numbers more, and so must be needed.
+    A curve has several numbers more, and so must be needed, and the readings must lie in many
+    parts of the range: through few levels a curve goes whatever they show.
     """
     fit = hypothesis.fit
     left = excess_chi2(problem, fit)
     if left < config.curve_of_gap * excess_chi2(problem, problem.base):
+        return hypothesis
+    if _parts_of_range(problem, fit.candidates[-1]) < config.curve_levels * len(curve):
         return hypothesis
     others, amounts = list(before.candidates), list(before.amounts)
     candidate = replace(fit.candidates[-1], shape=curve)
@@ -287,6 +290,19 @@ def _along_curve(
     if left - excess_chi2(problem, best) < config.curve_of_left * left:
         return hypothesis
     return Hypothesis(hypothesis.keys, best)
+
+
+def _parts_of_range(problem: FitProblem, candidate: Candidate) -> int:
+    """Tenths of a sensor's range in which the data have readings."""
+    if CATALOGUE[candidate.id].diagnosis.pressure_linearity is not None:
+        read = problem.rows.pressure
+    else:
+        points = problem.grid.points
+        read = np.concatenate([points[b].reading for b in candidate.blocks if b in points])
+    read = np.abs(read[np.isfinite(read)])
+    if not len(read) or read.max() == 0.0:
+        return 0
+    return len(np.unique(np.minimum(np.floor(10.0 * read / read.max()), 9.0)))
 
 
 def near_cost(problem: FitProblem, least: float, config: SelectionConfig = SELECTION) -> float:
