@@ -138,7 +138,7 @@ def test_plant_and_diagnosis_read_a_stated_scale_alike(
 
 
 def test_a_curve_needs_readings_in_many_parts_of_the_range(tmp_path: Path) -> None:
-    """At three pressures a curve of the gauge took friction of a real piston for its own."""
+    """Through three pressures a curve goes whatever they show."""
     swept = FitProblem.of(cell_that_saturates(tmp_path / "swept", percent=6.0))
     cell = next(s for s in swept.candidates if s.id == "force_gain")
     gauge = next(s for s in swept.candidates if s.id == "pressure_gain")

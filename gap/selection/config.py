@@ -75,8 +75,8 @@ class SelectionConfig:
     """Share of the gap that the other forms of an effect leave at least, and share of that which a
     curve must take. A matter of definition; no other values were tried."""
     curve_levels: float = 2.0
-    """Tenths of the sensor's range with readings that a curve needs for each of its numbers: a
-    piston at three pressures had its friction in a curve of the gauge. No other value was tried."""
+    """Tenths of the sensor's range with readings that a curve needs for each of its numbers.
+    Through few levels a curve goes whatever they show. No other value was tried."""
 
     # Inclusion test of a further effect
     further_visibility: float = 0.45
