@@ -115,7 +115,8 @@ def test_a_gauge_whose_scale_changes_is_straightened_for_the_chain(
     chain = Chain(problem, fit)
     for end, rows in chain.run(chain.stages).items():
         assert np.abs(chain.of_rows(end, rows)).max() < 1e-4, end
-    # What follows the measurement from afar and what runs free of it see the same gauge.
+    # What follows the measurement from afar and what runs free of it see the same gauge: they
+    # differ by what the one is drawn back. A chain of straight gauges would show no change at all.
     free = chain.of_rows("pressure", chain.free(fit.shift, fit.amounts)["pressure"])
     followed = fit.residual[chain.rows_of("pressure")]
     plain = chain.of_rows("pressure", chain.free(fit.shift, np.zeros(1))["pressure"])

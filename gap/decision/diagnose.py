@@ -168,17 +168,18 @@ def with_scales(verdict: Verdict, problem: FitProblem, fit: FitResult) -> Verdic
     offered = {name for entry in verdict.effects for name in entry.ids}
     notes = []
     for name in (name for name in fit.ids if name in offered and name in CATALOGUE):
-        on = CATALOGUE[name].diagnosis
+        on, sensors = CATALOGUE[name].diagnosis, CATALOGUE[name].sensors
         own = [s for s in zip(fit.candidates, fit.amounts, strict=True) if s[0].id == name]
-        for bend, full, unit, si in (
-            (on.pressure_linearity, context.full_pa, "kPa", 1e-3),
-            (on.force_linearity, context.full_n, "N", 1.0),
+        for bend, read, full, unit, si in (
+            (on.pressure_linearity, sensors.pressure, context.full_pa, "kPa", 1e-3),
+            (on.force_linearity, sensors.force, context.full_n, "N", 1.0),
         ):
-            if bend is None or not any(s.shape for s, _ in own):
+            if bend is None or read is None or not any(s.shape for s, _ in own):
                 continue
             at = np.array(_SCALE_AT) * full
             off = [
-                bend(at, float(a), s.shape, context) if s.shape else a / 100 * at for s, a in own
+                bend(at, float(a), s.shape, context) if s.shape else read(float(a))[0] * at
+                for s, a in own
             ]
             percent = 100.0 * np.sum(off, axis=0) / at
             told = ", ".join(

@@ -2,41 +2,20 @@
 
 from __future__ import annotations
 
-from plant.constants import PlantConstants
-from plant.effects.arguments import Array, Context, Shape, Values
+from plant.effects.arguments import Array, Context, Shape
 from plant.effects.effect import EachTrial, Effect, InDiagnosis, InSensors, Search
-from plant.effects.sensors.linearity import (
-    CALIBRATION_CURVE,
-    FREE,
-    SHAPES,
-    as_parameters,
-    beyond_straight,
-    changes,
-    linearity,
-    parameters,
-    stated,
-)
+from plant.effects.sensors.linearity import CALIBRATION_CURVE, FREE, SHAPES, Scale, linearity
 from plant.effects.standards import WEIGHTS
+
+_SCALE = Scale("N", 1.0, 50.0)
 
 
 def _linearity(force: Array, amount: float, shape: Shape, context: Context) -> Array:
     return amount / 100.0 * linearity(force, context.full_n, shape)
 
 
-def _full(values: Values) -> float:
-    return float(values["full_n"])
-
-
-def _stated(shape: Shape, values: Values, c: PlantConstants) -> Shape:
-    return stated(values, _full(values))
-
-
-def _bent(true: Array, values: Values) -> Array:
-    return beyond_straight(true, values, _full(values))
-
-
 def _as_plant(shape: Shape, context: Context) -> dict[str, float]:
-    return as_parameters(shape, "full_n", context.full_n)
+    return _SCALE.as_parameters(shape, context.full_n)
 
 
 def _reading(amount: float) -> tuple[float, float]:
@@ -48,7 +27,7 @@ FORCE_GAIN = Effect(
     "force_sensor",
     "sensor",
     "scale of the force reading",
-    parameters("N", 50.0),
+    _SCALE.parameters,
     "the unloaded reading; pressure and length; timing",
     ("pressure_gain", "fibre_stretch", "temperature_stiffening"),
     "dead weights over the range",
@@ -59,8 +38,8 @@ FORCE_GAIN = Effect(
     calibration="force_gain_percent",
     each_trial=(EachTrial("force gain", 0.3, ("force", "load")),),
     reference=(WEIGHTS, 0.1),
-    sensors=InSensors(force=_reading, force_bent=_bent, scale_changes=changes),
-    diagnosis=InDiagnosis(force_linearity=_linearity, stated=_stated),
+    sensors=InSensors(force=_reading, force_bent=_SCALE.bent, scale_changes=_SCALE.changes),
+    diagnosis=InDiagnosis(force_linearity=_linearity, stated=_SCALE.stated),
     search=Search(
         step=0.5,
         sign=0,

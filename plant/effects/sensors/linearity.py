@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
+from plant.constants import PlantConstants
 from plant.effects.arguments import Array, Shape, Values
 from plant.effects.effect import Parameter
 
@@ -24,54 +26,68 @@ CALIBRATION_CURVE: Shape = dict.fromkeys(_CURVE, 1.0)
 """A scale that is off by any smooth curve, from a straight one on."""
 
 
-def parameters(unit: str, full: float) -> tuple[Parameter, ...]:
-    """Parameters of a scale that is wrong: a straight one unless more is stated than `percent`.
+@dataclass(frozen=True)
+class Scale:
+    """The scale of one kind of sensor, as plant files state it.
 
-    Args:
-        unit: of the reading.
-        full: reading at which `percent` is stated by default.
+    Attributes:
+        unit: of the reading in files.
+        si: that unit in SI units.
+        usual: true value at which `percent` is stated where nothing else is, in the unit.
     """
-    return (
-        Parameter("percent", "%", "read over true", -30, 30),
-        Parameter("power", "", "of true / full that the error in percent goes with", 0, 3, 0.0),
-        *(
+
+    unit: str
+    si: float
+    usual: float
+
+    @property
+    def _full(self) -> str:
+        return f"full_{self.unit.lower()}"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters of a scale that is wrong: straight where no more than `percent` is stated."""
+        return (
+            Parameter("percent", "%", "read over true", -30, 30),
+            Parameter("power", "", "of true / full that the error in percent goes with", 0, 3, 0.0),
+            *(
+                Parameter(
+                    name, "", f"error in percent at {share} of full over that at full", 0.1, 10, 1.0
+                )
+                for name, share in zip(_CURVE, ("zero", "1/3", "2/3"), strict=True)
+            ),
             Parameter(
-                name, "", f"error in percent at {share} of full over that at full", 0.1, 10, 1.0
-            )
-            for name, share in zip(_CURVE, ("zero", "1/3", "2/3"), strict=True)
-        ),
-        Parameter(
-            f"full_{unit.lower()}", unit, "true value at which percent is stated", 1, 1e5, full
-        ),
-    )
+                self._full, self.unit, "true value at which percent is stated", 1, 1e5, self.usual
+            ),
+        )
 
+    def shape_of(self, values: Values) -> Shape:
+        """Shape of the scale that parameters state, empty for a straight one."""
+        curve = {name: float(values[name]) for name in _CURVE}
+        shape = {"power": float(values["power"])} if values["power"] else {}
+        if any(number != 1.0 for number in curve.values()):
+            shape |= curve
+        return {**shape, _FULL: float(values[self._full]) * self.si} if shape else {}
 
-def stated(values: Values, full: float) -> Shape:
-    """Shape of the scale that parameters state, empty for a straight one; `full` in SI units."""
-    curve = {name: float(values[name]) for name in _CURVE}
-    shape = {"power": float(values["power"])} if values["power"] else {}
-    if any(number != 1.0 for number in curve.values()):
-        shape |= curve
-    return {**shape, _FULL: full} if shape else {}
+    def stated(self, shape: Shape, values: Values, c: PlantConstants) -> Shape:
+        """`InDiagnosis.stated`."""
+        return self.shape_of(values)
 
+    def changes(self, values: Values) -> bool:
+        """`InSensors.scale_changes`."""
+        return bool(self.shape_of(values))
 
-def changes(values: Values) -> bool:
-    """Whether the scale that parameters state changes over the range."""
-    return bool(stated(values, 1.0))
+    def bent(self, true: Array, values: Values) -> Array:
+        """What a reading gains over that of a straight scale as far off at the full value."""
+        shape = self.shape_of(values)
+        if not shape:
+            return np.zeros_like(true)
+        return float(values["percent"]) / 100.0 * (linearity(true, shape[_FULL], shape) - true)
 
-
-def as_parameters(shape: Shape, name: str, full: float) -> dict[str, float]:
-    """Parameters other than `percent` that give a shape; `name` and `full` as in `parameters`."""
-    made = {key: value for key, value in shape.items() if key != _FULL}
-    return {**made, name: full} if made else {}
-
-
-def beyond_straight(true: Array, values: Values, full: float) -> Array:
-    """What a reading gains over that of a straight scale as far off at the full value."""
-    shape = stated(values, full)
-    if not shape:
-        return np.zeros_like(true)
-    return float(values["percent"]) / 100.0 * (linearity(true, full, shape) - true)
+    def as_parameters(self, shape: Shape, full: float) -> dict[str, float]:
+        """Parameters other than `percent` that give a shape; `full` in SI units."""
+        made = {key: value for key, value in shape.items() if key != _FULL}
+        return {**made, self._full: full / self.si} if made else {}
 
 
 def linearity(value: Array, full: float, shape: Shape) -> Array:

@@ -2,42 +2,21 @@
 
 from __future__ import annotations
 
-from plant.constants import PlantConstants
 from plant.effects import pressure_stage as stage
-from plant.effects.arguments import Array, Context, Params, Shape, Values
+from plant.effects.arguments import Array, Context, Params, Shape
 from plant.effects.effect import EachTrial, Effect, InDiagnosis, InSensors, Search
-from plant.effects.sensors.linearity import (
-    CALIBRATION_CURVE,
-    FREE,
-    SHAPES,
-    as_parameters,
-    beyond_straight,
-    changes,
-    linearity,
-    parameters,
-    stated,
-)
+from plant.effects.sensors.linearity import CALIBRATION_CURVE, FREE, SHAPES, Scale, linearity
 from plant.effects.standards import GAUGE
+
+_SCALE = Scale("kPa", 1e3, 500.0)
 
 
 def _linearity(p: Array, amount: float, shape: Shape, context: Context) -> Array:
     return amount / 100.0 * linearity(p, context.full_pa, shape)
 
 
-def _full(values: Values) -> float:
-    return float(values["full_kpa"]) * 1e3
-
-
-def _stated(shape: Shape, values: Values, c: PlantConstants) -> Shape:
-    return stated(values, _full(values))
-
-
-def _bent(true: Array, values: Values) -> Array:
-    return beyond_straight(true, values, _full(values))
-
-
 def _as_plant(shape: Shape, context: Context) -> dict[str, float]:
-    return as_parameters(shape, "full_kpa", context.full_pa * 1e-3)
+    return _SCALE.as_parameters(shape, context.full_pa)
 
 
 def _reading(amount: float) -> tuple[float, float]:
@@ -54,7 +33,7 @@ PRESSURE_GAIN = Effect(
     "pressure_sensor",
     "sensor",
     "scale of the pressure reading",
-    parameters("kPa", 500.0),
+    _SCALE.parameters,
     "the vented reading; timing",
     ("force_gain", "fibre_stretch"),
     "a reference gauge on the same line at one high pressure",
@@ -66,8 +45,8 @@ PRESSURE_GAIN = Effect(
     calibration="pressure_gain_percent",
     each_trial=(EachTrial("pressure gain", 0.3, ("pressure", "force", "load")),),
     reference=(GAUGE, 0.15),
-    sensors=InSensors(pressure=_reading, pressure_bent=_bent, scale_changes=changes),
-    diagnosis=InDiagnosis(gas=_gas, pressure_linearity=_linearity, stated=_stated),
+    sensors=InSensors(pressure=_reading, pressure_bent=_SCALE.bent, scale_changes=_SCALE.changes),
+    diagnosis=InDiagnosis(gas=_gas, pressure_linearity=_linearity, stated=_SCALE.stated),
     search=Search(
         step=0.5,
         sign=0,
