@@ -51,10 +51,8 @@ class Scale:
             Parameter("percent", "%", "read over true", -30, 30),
             Parameter("power", "", "of true / full that the error in percent goes with", 0, 3, 0.0),
             *(
-                Parameter(
-                    name, "", f"error in percent at {share} of full over that at full", 0.1, 10, 1.0
-                )
-                for name, share in zip(_CURVE, ("zero", "1/3", "2/3"), strict=True)
+                Parameter(name, "", f"error in percent at {share} over that at full", 0.1, 10, 1.0)
+                for name, share in zip(_CURVE, ("zero", "1/3 of full", "2/3 of full"), strict=True)
             ),
             Parameter(
                 self._full, self.unit, "true value at which percent is stated", 1, 1e5, self.usual
