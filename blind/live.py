@@ -236,6 +236,10 @@ class LiveBench:
         self._length = float(length)
         return self._shown(float(force), float(length))
 
+    def read_block(self, true_mm: float) -> float:
+        """What the camera shows of a gauge block in the place of the muscle, mm."""
+        return float(read_length(np.array([true_mm]), self.constants, self.effects)[0])
+
     def _shown(self, force: float, length: float) -> Shown:
         c, e, y, now = self.constants, self.effects, self._y, self.time_s
         at = np.array([now])

@@ -94,6 +94,11 @@ class Cause(StrEnum):
     FORM_LEAVES = "{names} explains {percent:.0f} % of the gap; its form leaves a pattern"
     FORM_UNCERTAIN = "{names}; held out, the closed fraction is not certain to exceed one half"
     EXPLAINED = "{names} explains the gap"
+    STANDARD = (
+        "{names}, shown by a reference standard; with that stated, the plant agrees with the data "
+        "to within the floor"
+    )
+    STANDARD_BESIDE = "{names}, shown by a reference standard; beside that, {rest}"
     BY_TRIAL = (
         "{names} differs between replicates: more in {count} of {trials} trials than in others"
     )

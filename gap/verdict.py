@@ -136,6 +136,7 @@ class Rejection(StrEnum):
     WORSE_FIT = "worse_fit"
     SMALL_SHARE = "small_share"
     SMALL_GAIN = "small_gain"
+    CLEARED = "cleared"
 
 
 @dataclass(frozen=True)
@@ -155,13 +156,15 @@ class WhyNot:
                 return f"closes {100 * self.value:.0f} % of the gap"
             case Rejection.SMALL_GAIN:
                 return f"chi-square falls by {self.value:.0f} only"
+            case Rejection.CLEARED:
+                return "a reference standard shows none"
 
     @property
     def rank(self) -> float:
         """Order of rejected entries: fits that came nearest first, then the share they close."""
         if self.rejection is Rejection.WORSE_FIT:
             return 1000.0 - min(round(self.value), 900.0) * 1e-3
-        if self.rejection is Rejection.NO_CHANNEL:
+        if self.rejection in (Rejection.NO_CHANNEL, Rejection.CLEARED):
             return -1.0
         percent = 100.0 if self.rejection is Rejection.SMALL_SHARE else 1.0
         return float(round(percent * self.value))

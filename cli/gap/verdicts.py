@@ -129,9 +129,10 @@ def shrink_command(question: Question, out: Path | None, as_json: bool) -> None:
     # An effect that the verdict does not stand by is no improvement of the plant.
     named = (
         verdict.status.explained
+        and problem is not None
         and fit is not None
         and bool(verdict.effects)
-        and set(verdict.effects[0].ids) == set(fit.ids)
+        and set(problem.fitted(verdict.effects[0].ids)) == set(fit.ids)
     )
     found: dict[str, Any] = {}
     if problem is not None and fit is not None:

@@ -1,5 +1,6 @@
 """Closes the loop: run a test, diagnose, run what the diagnosis requests, until it is named.
 
+Where no test decides, the instruments read reference standards, if somebody is there to set them.
 Top floor: here a rig and a diagnosis meet. Each round records an ordinary run; all runs so far are
 diagnosed together. What to run next is what the diagnosis advises, where this rig can run it, and
 otherwise the next test that shows something no test so far has shown. Each test is a trial of what
@@ -11,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,22 +23,24 @@ from analysis.reporting.derived import try_derive
 from cli.investigate.config import INVESTIGATION
 from cli.investigate.survey import Test, battery, protocol_text
 from daq.errors import PamrigError
-from daq.interrupt import StopFlag
+from daq.interrupt import StopFlag, Stopped
 from daq.store.run import Run, open_run
-from gap.data.dataset import DataSet
+from gap.data.dataset import DataSet, StandardReading
 from gap.data.from_runs import export_runs, stated_plant
 from gap.data.reader import read_dataset
 from gap.decision.at_bound import relieving
 from gap.decision.diagnose import diagnose_with_search
-from gap.decision.sequential import SequentialVerdict, joint
+from gap.decision.sequential import Conclusion, SequentialVerdict, joint
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem
+from gap.estimation.standards import ERRORS_OF
 from gap.reporting.text import conclusion_text
 from gap.selection.search import SearchResult
 from gap.validation.config import VALIDATION
 from gap.validation.prediction import families, margins, predict_trials, rivals_of
 from gap.verdict import Status, Verdict
 from plant.arrays import Array
+from rigs.calibration.standards import StandardRead, read_standards, readable_standards
 from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import RigConfig
@@ -183,7 +186,29 @@ def investigate(
         report(f"  {running.rounds[-1].headline}")
         if running.settled and not (running.uncertain and left):
             break
+    if not stop.reason and used_min < budget_min:
+        _have_standards_read(running, config, out, stop, bench, report)
     return running.concluded()
+
+
+def _have_standards_read(
+    running: _Running, config: RigConfig, out: Path, stop: StopFlag, bench: VirtualBench | None,
+    report: Report,
+) -> None:  # fmt: skip
+    """Have reference standards read as long as one would decide what no test did."""
+    while running.ended is None and (channels := running.wanted_standards):
+        report(f"reference standards: {', '.join(channels)}")
+        try:
+            read, record = read_standards(config, channels, out, stop=stop, bench=bench)
+        except Stopped:
+            report("  stopped; the standards are left out")
+            return
+        except PamrigError as error:
+            running.ended = str(error)
+            report(f"  {error}")
+            return
+        running.take_standards(channels, read, record)
+        report(f"  {running.rounds[-1].headline}")
 
 
 @dataclass
@@ -196,6 +221,7 @@ class _Running(SequentialVerdict):
     runs: list[Run] = field(default_factory=list)
     tests: list[Test] = field(default_factory=list)
     rounds: list[Round] = field(default_factory=list)
+    standards: list[StandardReading] = field(default_factory=list)
     problem: FitProblem | None = None
     search: SearchResult | None = None
     ended: str | None = None
@@ -299,10 +325,46 @@ class _Running(SequentialVerdict):
             )
         )
 
+    @property
+    def wanted_standards(self) -> tuple[str, ...]:
+        """Channels that should read a standard, as nothing else decides, and have not yet."""
+        if self.verdict is None or self.conclusion is not Conclusion.NEEDS_REFERENCE:
+            return ()
+        had = {one.channel for one in self.standards}
+        return tuple(
+            channel
+            for channel in readable_standards(self.config)
+            if channel not in had and set(ERRORS_OF[channel]) & set(self.references)
+        )
+
+    def take_standards(
+        self, channels: Sequence[str], read: Sequence[StandardRead], record: Path
+    ) -> None:
+        """Take in what the instruments read of standards, and diagnose the tests with it."""
+        between = " or ".join(
+            n for n in self.references if any(n in ERRORS_OF[c] for c in channels)
+        )
+        self.standards += [StandardReading(**vars(one)) for one in read]
+        self.search = None  # no test is new: none is to be predicted
+        self._diagnose()
+        assert self.verdict is not None
+        ids = tuple(" + ".join(effect.ids) for effect in self.verdict.effects)
+        run = open_run(record)
+        self.rounds.append(
+            Round(
+                "reference standards", f"to see whether there is {between}", run.run_id, "clean",
+                float((run.final or {}).get("duration_s") or 0.0) / 60.0, self.verdict.status, ids,
+                conclusion_text(self),
+            )
+        )  # fmt: skip
+
     def _diagnose(self) -> dict[str, Any] | None:
         """Diagnose all runs; how what was found before fared on the last of them."""
         before, known, entries = self.search, self.problem, self._entry_ids
-        data = joined(self.runs, self.folder / f"data-{len(self.runs):02d}", self.plant)
+        name = f"data-{len(self.runs):02d}"
+        if self.standards:
+            name += "-" + "-".join(dict.fromkeys(one.channel for one in self.standards))
+        data = joined(self.runs, self.folder / name, self.plant, self.standards)
         self.verdict, self.problem, self.search = diagnose_with_search(data)
         self._margins = None
         self.relieving = {}
@@ -361,7 +423,9 @@ def _own_folder(out: Path) -> Path:
             return folder
 
 
-def joined(runs: list[Run], folder: Path, plant: Path | None) -> DataSet:
-    """All runs so far as one data set, written to `folder`."""
-    export_runs(runs, folder, plant=plant, commands_of=VALVE_TESTS)
+def joined(
+    runs: list[Run], folder: Path, plant: Path | None, standards: Sequence[StandardReading] = ()
+) -> DataSet:
+    """All runs so far as one data set, with what standards showed, written to `folder`."""
+    export_runs(runs, folder, plant=plant, commands_of=VALVE_TESTS, standards=standards)
     return dataclasses.replace(read_dataset(folder), origin=str(folder))

@@ -23,6 +23,24 @@ CALIBRATION = (
 
 
 @dataclass(frozen=True)
+class StandardReading:
+    """What an instrument read of a reference standard.
+
+    Attributes:
+        channel: "length_mm" (a block before the camera), "held_length_mm" (the length that is
+            written down with a block between the holders), "pressure_kpa" or "force_n".
+        true: value of the standard, in the unit of the channel.
+        read: what the instrument read.
+        u: standard uncertainty of read minus true.
+    """
+
+    channel: str
+    true: float
+    read: float
+    u: float
+
+
+@dataclass(frozen=True)
 class DataSet:
     """Trials of one bench, and the constants of that bench as far as they are stated.
 
@@ -35,6 +53,7 @@ class DataSet:
         calibration: standard uncertainty of what all trials share of a sensor's zero, gain or
             clock, by `CALIBRATION`'s names; what is not stated is taken as exact.
         corrections: empirical terms that `bench.toml` states, so that they are no gap.
+        standards: what the instruments read of reference standards.
         simulator: takes the place of the built-in stages that it stands for; None for none.
     """
 
@@ -46,6 +65,7 @@ class DataSet:
     calibration: Mapping[str, float] = field(default_factory=dict)
     simulator: ExternalSimulator | None = None
     corrections: Corrections = UNCORRECTED
+    standards: tuple[StandardReading, ...] = ()
 
     @property
     def slots(self) -> dict[str, list[int]]:

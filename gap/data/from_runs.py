@@ -21,7 +21,7 @@ from daq.errors import RecordError
 from daq.store.run import Run, open_run
 from daq.store.verify import findings
 from daq.wholefile import whole_files
-from gap.data.dataset import DataSet
+from gap.data.dataset import DataSet, StandardReading
 from gap.data.joint_trials import MUSCLES, is_joint, joint_calibration, joint_trials
 from gap.data.reader import read_bench, read_dataset
 from gap.data.regulator import regulator_notes
@@ -56,6 +56,7 @@ def export_runs(
     form: str = "time",
     commands_of: Collection[str] | None = None,
     muscle: str = "a",
+    standards: Sequence[StandardReading] = (),
 ) -> Exported:
     """Write runs as one data set; trials keep the order in which they were measured.
 
@@ -67,6 +68,7 @@ def export_runs(
         form: "time" for channels against time, "points" for the settled points alone. A run of
             settled points from elsewhere has no other form.
         muscle: which one of a joint, "a" or "b"; runs of one muscle have no other.
+        standards: what the instruments read of reference standards.
 
     Raises:
         GapError: the folder is taken, the plant file cannot be read, or runs contradict each other.
@@ -104,7 +106,7 @@ def export_runs(
                 if words:
                     trial.row["note"] = "; ".join(words)
             trials += sorted(own, key=lambda trial: float(trial.row["start_s"]))
-    made = _write(folder, trials, bench, calibration, tuple(run.run_id for run in runs))
+    made = _write(folder, trials, bench, calibration, standards, tuple(run.run_id for run in runs))
     named = (f"{name}: {text}" for name, found in problems.items() for text in found)
     return dataclasses.replace(made, problems=tuple(named), notes=tuple(notes))
 
@@ -158,7 +160,7 @@ def _refuse_mechanism(run: Run) -> None:
 
 def _write(
     folder: Path, trials: Sequence[RunTrial], bench: dict[str, Any],
-    calibration: dict[str, float], runs: tuple[str, ...],
+    calibration: dict[str, float], standards: Sequence[StandardReading], runs: tuple[str, ...],
 ) -> Exported:  # fmt: skip
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -179,6 +181,9 @@ def _write(
             table = pd.DataFrame(rows, columns=list(COLUMNS))
             table.to_csv(part(folder / "trials.csv"), index=False)
             samples.to_parquet(part(folder / "samples.parquet"), index=False)
+            if standards:
+                read = pd.DataFrame([vars(one) for one in standards])
+                read.to_csv(part(folder / "standards.csv"), index=False)
             for name, values in (("bench.toml", bench), ("calibration.toml", calibration)):
                 if values:
                     part(folder / name).write_text(_toml_text(values), encoding="utf-8")

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from gap.data.dataset import CALIBRATION, DataSet
+from gap.data.dataset import CALIBRATION, DataSet, StandardReading
 from gap.data.plausible import remarks
 from gap.data.tables import Table, numbers, read_table, unit_check
 from gap.data.trial import CHANNELS, COMMANDS, Channel, Trial
@@ -65,6 +65,7 @@ def read_dataset(folder: str | Path) -> DataSet:
     made = _join(path, trials, samples, constants, effects)
     return replace(
         made, calibration=_calibration(path / "calibration.toml"), corrections=corrections,
+        standards=_standards(path / "standards.csv"),
         notes=(*made.notes, *remarks(made)),
     )  # fmt: skip
 
@@ -115,6 +116,40 @@ def _calibration(path: Path) -> dict[str, float]:
         if not number or not 0.0 <= value < MOST_UNCERTAIN:
             raise GapError(where, f"expected a standard uncertainty of 0 or more, got {value!r}")
     return {key: float(table[key]) for key in CALIBRATION if table.get(key)}
+
+
+STANDARDS = {
+    "length_mm": (0.0, 10_000.0), "held_length_mm": (0.0, 10_000.0),
+    "pressure_kpa": (-1000.0, 10_000.0), "force_n": (-10_000.0, 10_000.0),
+}  # fmt: skip
+"""Channels that may have read a reference standard, and the bounds of its value and reading."""
+
+
+def _standards(path: Path) -> tuple[StandardReading, ...]:
+    """Readings of reference standards, in the order of the file."""
+    if not path.exists():
+        return ()
+    table = read_table(path, ("channel", "true", "read", "u"), ("channel",))
+    values = {name: numbers(table, name, nominal()) for name in ("true", "read", "u")}
+    made = []
+    for row, channel in enumerate(table.frame["channel"]):
+        if channel not in STANDARDS:
+            raise table.error(row, "channel", f"{channel!r}", f"one of {', '.join(STANDARDS)}")
+        one = {name: float(column[row]) for name, column in values.items()}
+        for name, value in one.items():
+            if not np.isfinite(value):
+                raise table.error(row, name, "is empty", "each reading has all four values")
+        if one["u"] <= 0.0:
+            raise table.error(row, "u", f"{one['u']:g}", "a standard uncertainty above 0")
+        low, high = STANDARDS[channel]
+        for name in ("true", "read"):
+            if not low <= one[name] <= high:
+                raise table.error(
+                    row, name, f"{one[name]:g} is far outside the sensor's range",
+                    f"allowed {low:g} to {high:g}; unit?",
+                )  # fmt: skip
+        made.append(StandardReading(channel, **one))
+    return tuple(made)
 
 
 def _trials_table(path: Path) -> Table:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from gap.effects.terms import OF_TRIAL
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.fitness import UnfitPlant, beyond_braid, doubts, doubts_left
+from gap.estimation.standards import StandardCheck, with_known_errors
 from gap.reason import Cause, Reason, reason
 from gap.selection.config import SELECTION
 from gap.selection.further import with_further
@@ -28,7 +30,7 @@ from gap.selection.inclusion import excess_chi2
 from gap.selection.search import SearchResult, search_effects
 from gap.selection.timing import channel_with_timing_fault
 from gap.validation.empirical import empirical_term
-from gap.verdict import Estimate, Explanation, Status, Verdict
+from gap.verdict import Estimate, Explanation, Rejection, Status, Verdict, WhyNot
 from plant.effects.catalogue import CATALOGUE
 
 
@@ -61,10 +63,12 @@ def diagnose_with_search(
 
     FitProblem and search are None where the data are unfit or nothing can be compared.
     """
-    verdict, problem, search = verdict_by_catalogue(data, without)
+    known, check = with_known_errors(data)
+    verdict, problem, search = verdict_by_catalogue(known, (*without, *check.measured))
     if problem is None or search is None:
-        return verdict, None, None
-    return with_empirical_term(verdict, problem, search), problem, search
+        return with_standards(verdict, check), None, None
+    verdict = with_empirical_term(verdict, problem, search)
+    return with_standards(verdict, check), problem, search
 
 
 def verdict_by_catalogue(
@@ -241,6 +245,58 @@ def _note_by_trial(name: str, amounts: dict[str, float]) -> str:
     return (
         f"{name} differs between replicates: beyond the one that has least, {told}{more} {unit}; "
         "the fit gives each its own"
+    )
+
+
+def with_standards(verdict: Verdict, check: StandardCheck) -> Verdict:
+    """The verdict with the errors of instruments that reference standards show.
+
+    They were measured by themselves, so they stand beside whatever explains the rest; where nothing
+    is left to explain, they are what the data show.
+    """
+    if not check.measured:
+        return verdict
+    evidence: dict[str, Any] = {
+        "shown": {name: {"value": value, "u": u} for name, (value, u) in check.errors.items()},
+        "cleared": list(check.cleared),
+    }
+    verdict = replace(
+        verdict,
+        why_not={**verdict.why_not, **{n: WhyNot(Rejection.CLEARED) for n in check.cleared}},
+        evidence={**verdict.evidence, "standards": evidence},
+    )
+    if not check.shown:
+        return verdict
+    names, first = check.shown, CATALOGUE[check.shown[0]]
+    found = {
+        str(CATALOGUE[name].headline): Estimate(value, value - 1.96 * u, value + 1.96 * u)
+        for name, (value, u) in check.errors.items()
+    }
+    told = " and ".join(names)
+    if verdict.status is Status.NO_GAP_ABOVE_FLOOR:
+        known = 1.0 - verdict.probability_unknown
+        return replace(
+            verdict,
+            status=Status.NAMED,
+            reason=reason(Cause.STANDARD, names=told),
+            stage=first.stage,
+            effects=(Explanation(names, first.family, known, found),),
+            probability_none=0.0,
+            sure=names,
+        )
+    return replace(
+        verdict,
+        reason=reason(Cause.STANDARD_BESIDE, names=told, rest=verdict.reason),
+        effects=tuple(
+            Explanation(
+                (*names, *entry.ids),
+                "+".join(dict.fromkeys((first.family, *entry.family.split("+")))),
+                entry.probability,
+                {**found, **entry.parameters},
+            )
+            for entry in verdict.effects
+        ),
+        sure=(*names, *verdict.sure),
     )
 
 

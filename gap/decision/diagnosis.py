@@ -11,6 +11,7 @@ from gap.decision.diagnose import candidates_without, diagnose_with_search
 from gap.decision.fingerprint import fingerprint
 from gap.decision.store import Store, user_folder
 from gap.estimation.fit_problem import FitProblem, FitResult, ProblemState
+from gap.estimation.standards import with_known_errors
 from gap.selection.search import SearchResult
 from gap.verdict import Verdict
 
@@ -83,8 +84,9 @@ class Diagnosis:
         if self._fits is None:
             return
         fits, self._fits = self._fits, None
-        candidates = candidates_without(self._without)
-        self._problem = FitProblem.restored(self._data, fits.state, candidates)
+        data, check = with_known_errors(self._data)
+        candidates = candidates_without((*self._without, *check.measured))
+        self._problem = FitProblem.restored(data, fits.state, candidates)
         search = fits.search
         if search is not None and not search.best.keys:
             # The recalibrated plant itself, whose sensitivities are known.

@@ -35,7 +35,7 @@ def fingerprint(data: DataSet, struck: Iterable[str]) -> str | None:
     for trial in data.trials:
         _add_trial(digest, trial)
     _add(digest, data.constants, data.effects, data.corrections, data.notes)
-    _add(digest, sorted(data.calibration.items()))
+    _add(digest, sorted(data.calibration.items()), data.standards)
     if data.simulator is not None and not _add_simulator(digest, data.simulator):
         return None
     return digest.hexdigest()

@@ -399,9 +399,17 @@ class FitProblem:
             )
         return found
 
+    def fitted(self, ids: Sequence[str]) -> tuple[str, ...]:
+        """Those of some effects that a fit can hold."""
+        known = {candidate.id for candidate in self.candidates}
+        return tuple(name for name in ids if name in known)
+
     def fit_effects(self, ids: Sequence[str]) -> FitResult:
-        """Fit effects by their ids, each in its first shape, from the amount of its sensitivity."""
-        own = [next(s for s in self.candidates if s.id == name) for name in ids]
+        """Fit effects by their ids, each in its first shape, from the amount of its sensitivity.
+
+        What has no candidate is left out: what a reference standard showed is stated, not fitted.
+        """
+        own = [next(s for s in self.candidates if s.id == name) for name in self.fitted(ids)]
         return self.fit(own, [candidate.step for candidate in own])
 
     def columns_near(self, fit: FitResult) -> Array:

@@ -102,7 +102,9 @@ def standing_fit(problem: FitProblem, search: SearchResult, verdict: Verdict) ->
     """The fit of the first entry that the verdict stands by; else the recalibrated plant."""
     if not verdict.effects or not verdict.status.explained:
         return problem.base
-    first = verdict.effects[0].ids
+    first = problem.fitted(verdict.effects[0].ids)
+    if not first:
+        return problem.base
     for hypothesis in (search.best, *search.rivals):
         if set(hypothesis.fit.ids) == set(first):
             return hypothesis.fit

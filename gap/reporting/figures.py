@@ -196,8 +196,11 @@ def maps(field: Field) -> Figure | None:
 
 
 def course(field: Field) -> Figure | None:
-    """Mean and spread of the residual in each trial, in the order of measurement."""
-    orders = np.unique(field.order[np.isfinite(field.order)])
+    """Mean and spread of the residual in each trial, in the order of measurement.
+
+    Trials of which nothing is compared are left out.
+    """
+    orders = np.unique(field.order[np.isfinite(field.order) & (field.weight > 0.0)])
     if len(orders) < 3:
         return None
     figure, axes = _figure(DOUBLE_COLUMN, 2.4)

@@ -12,8 +12,8 @@ from gap.reporting.empirical import empirical_sentences
 from gap.reporting.examination import Examination
 from gap.reporting.figures import NAMES, drawn, figures
 from gap.reporting.text import (
-    CAREFUL,
     HEADS,
+    careful,
     experiment_sentence,
     gap_sentences,
     headline,
@@ -64,7 +64,7 @@ def context(examined: Examination) -> dict[str, Any]:
         "status": verdict.status,
         "headline": headline(verdict),
         "reason": str(verdict.reason),
-        "careful": CAREFUL if verdict.effects and verdict.status.explained else "",
+        "careful": careful(verdict),
         "gap": gap_sentences(verdict),
         "explanations": _explanations(verdict),
         "empirical": empirical_sentences(verdict),
@@ -74,7 +74,7 @@ def context(examined: Examination) -> dict[str, Any]:
         "far": near[NEAREST:],
         "next": _next(verdict),
         "next_why": sentence(verdict.next_experiment.why) if verdict.next_experiment else "",
-        "told_apart": told_apart(verdict.effects),
+        "told_apart": told_apart(verdict),
         "limits": limits(verdict),
         "mimics": _confounders(verdict),
         "explained": bool(verdict.effects) and verdict.status.explained,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from gap.decision.sequential import SequentialVerdict
 from gap.design.config import DESIGN
 from gap.reason import PARTS, Cause
-from gap.verdict import Estimate, Experiment, Explanation, Status, Verdict
+from gap.verdict import Estimate, Experiment, Status, Verdict
 from plant.effects.catalogue import CATALOGUE
 
 HEADS = {
@@ -26,6 +26,9 @@ HEADS = {
 CAREFUL = (
     "These data are consistent with it; that it is the cause is shown by taking it away, or by the "
     "reference named below."
+)
+BY_STANDARD = (
+    "A reference standard showed it by itself; it is stated, and no part of the gap any more."
 )
 
 
@@ -144,10 +147,26 @@ def gap_sentences(verdict: Verdict) -> list[str]:
     return text
 
 
-def told_apart(effects: tuple[Explanation, ...]) -> list[tuple[str, str]]:
-    """For each entry of the set, what experiment or reference would settle it."""
-    names = dict.fromkeys(name for effect in effects for name in effect.ids)
-    return [(name, CATALOGUE[name].told_apart_by) for name in names]
+def told_apart(verdict: Verdict) -> list[tuple[str, str]]:
+    """For each entry of the set, what experiment or reference would settle it.
+
+    What a reference standard has shown is settled.
+    """
+    names = dict.fromkeys(name for effect in verdict.effects for name in effect.ids)
+    return [(n, CATALOGUE[n].told_apart_by) for n in names if n not in shown_by_standards(verdict)]
+
+
+def shown_by_standards(verdict: Verdict) -> frozenset[str]:
+    """Ids of the errors that reference standards have shown."""
+    return frozenset(verdict.evidence.get("standards", {}).get("shown", ()))
+
+
+def careful(verdict: Verdict) -> str:
+    """What an explanation rests on; empty where the verdict stands by none."""
+    if not verdict.effects or not verdict.status.explained:
+        return ""
+    shown = shown_by_standards(verdict)
+    return BY_STANDARD if shown and shown >= set(verdict.effects[0].ids) else CAREFUL
 
 
 _WORTH_IT = 1.01

@@ -54,8 +54,9 @@ ENCODER_NOISE_DEG = 0.003
 TORQUE_NOISE_N_M = 0.0003
 DISPLACEMENT_NOISE_MM = 0.003
 SUPPLY_NOISE_V = 0.002
-HAND = {"length": 0.03, "pressure": 1.0, "supply": 1.0, "angle": 0.1}
-"""How exactly a person sets a length (mm) or an angle (degrees) and turns a regulator (kPa)."""
+HAND = {"length": 0.03, "pressure": 1.0, "supply": 1.0, "angle": 0.1, "holders": 0.01}
+"""How exactly a person sets a length (mm) or an angle (degrees), turns a regulator (kPa), and
+measures the distance of the holders with gauge blocks (mm)."""
 
 
 def hang(plant: BenchSim, mass_kg: float) -> None:
@@ -380,6 +381,7 @@ class Extras:
         def unhang(value: float) -> None:
             del value
             self.hung_kg = None
+            self._bench.sensor_error.take_block()
 
         def turn(value: float) -> None:
             if isinstance(plant, JointLoad):
@@ -406,11 +408,12 @@ class Extras:
                 "mass": lambda kg: hang(plant, kg),
                 "angle": turn,
                 "lock off": free,
-                "block": plant.set_length,
+                "block": self._bench.sensor_error.place_block,
             },
             reads={
                 "reference pressure": lambda: float(plant.state[PRESSURE]) * 1e-3,
                 "temperature": lambda: self.temperature_c,
+                "holders": lambda: float(plant.state[LENGTH]) * 1e3,
             },
             rng=self._rng("operator"),
             spread=HAND,

@@ -20,7 +20,7 @@ class VirtualOperator:
         steps: by axis, what setting it to a value does.
         reads: by axis, what a person reads there.
         rng: how exact a person is.
-        spread: by axis, standard deviation of what is set (in the axis's unit).
+        spread: by axis, standard deviation of what is set or read (in the axis's unit).
         seconds: how long everything takes.
 
     Attributes:
@@ -67,10 +67,11 @@ class VirtualOperator:
 
     def perform(self, request: Request) -> str:
         """Do it now; what a person would answer: nothing, or the number that was read."""
-        if np.isnan(request.value):
-            return f"{self._reads[request.axis]():.4f}"
         spread = self._spread.get(request.axis, 0.0)
-        value = request.value + (float(self._rng.normal(0.0, spread)) if spread else 0.0)
+        error = float(self._rng.normal(0.0, spread)) if spread else 0.0
+        if np.isnan(request.value):
+            return f"{self._reads[request.axis]() + error:.4f}"
+        value = request.value + error
         step = self._steps.get(request.axis)
         if step is not None:
             step(value)

@@ -85,6 +85,13 @@ class SensorError:
         """Where the camera sees a marker that stands at a true length."""
         return float(read_length(true_mm, self.plant.constants, self._effects))
 
+    def place_block(self, length_mm: float) -> None:
+        """Put a gauge block in the place of the muscle: what measures a length sees the block."""
+        self.plant.set_length(length_mm)
+
+    def take_block(self) -> None:
+        """Take the last block out; the muscle is mounted at that length again."""
+
     @property
     def camera_delay_s(self) -> float:
         """How much the picture is older than its stamp and its sync LED say."""

@@ -53,6 +53,10 @@ class Live(Protocol):
         """Advance and show: pressure_kpa, force_n, length_mm, and what is so (true_*)."""
         ...
 
+    def read_block(self, true_mm: float) -> float:
+        """What the camera shows of a gauge block in the place of the muscle, mm."""
+        ...
+
 
 class WithheldPlant(BenchSim):
     """What instruments and board touch of a plant, moved by physics that are not the plant's.
@@ -184,6 +188,7 @@ class WithheldReading(SensorError):
     def __init__(self, plant: WithheldPlant) -> None:
         super().__init__(plant)
         self._withheld = plant
+        self._block_mm: float | None = None
 
     @property
     def force_zero_n(self) -> float:
@@ -202,7 +207,17 @@ class WithheldReading(SensorError):
     def length_mm(self, true_mm: float) -> float:
         """Where the camera sees the marker now, whatever is true."""
         del true_mm
+        if self._block_mm is not None:
+            return self._withheld.live.read_block(self._block_mm)
         return float(self._withheld.shown.length_mm)
+
+    def place_block(self, length_mm: float) -> None:
+        """A block stands before the camera; the muscle is where it was."""
+        self._block_mm = length_mm
+
+    def take_block(self) -> None:
+        """The camera sees the muscle again."""
+        self._block_mm = None
 
     def age(self, temperature_c: float) -> None:
         """Let the muscle be as warm as the bench, and count what it has been through."""

@@ -1,0 +1,166 @@
+"""Reading reference standards of length: gauge blocks before the camera and between the holders.
+
+Unlike a calibration it changes nothing: it says by how much an instrument is off at places that the
+diagnosis of a gap needs to know.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.regression.calibration_line import Reference
+from daq.errors import DeviceError
+from daq.interrupt import StopFlag
+from daq.record.writer import RecordWriter
+from rigs.bench.rig import Rig, open_rig
+from rigs.calibration.run import block_mean, carry_out, open_record, request
+from rigs.devices.motion.stage import MotorStage
+from rigs.devices.operator import Request, at_a_terminal, request_done, request_number
+from rigs.execution.runner import Watch
+from rigs.rigfile.config import CAMERA, RigConfig, camera_values
+
+if TYPE_CHECKING:
+    from rigs.virtual.bench import VirtualBench
+
+CAMERA_CHANNEL = "length_mm"
+HOLDERS_CHANNEL = "held_length_mm"
+PLACES = 5
+"""Blocks before the camera: enough to tell a scale from a lens that bends."""
+HELD = 3
+"""Distances of the holders."""
+PICTURES = 10
+INNER = (0.1, 0.9)
+"""Part of the range of lengths that is looked at."""
+U_BLOCKS_MM = 0.01
+"""Standard uncertainty of a length by gauge blocks, with how they are seated or wrung to feel; the
+advice of the diagnosis counts on 0.02 to 0.05 mm."""
+
+
+@dataclass(frozen=True)
+class StandardRead:
+    """What an instrument read of a standard, in the unit of its channel; `u` of read minus true."""
+
+    channel: str
+    true: float
+    read: float
+    u: float
+
+
+def readable_standards(config: RigConfig) -> tuple[str, ...]:
+    """Channels whose standards can be read on this rig now: somebody must be there to set them."""
+    if not (config.is_virtual or at_a_terminal()):
+        return ()
+    found = [CAMERA_CHANNEL] if config.camera.source and config.length_source == CAMERA else []
+    # Somebody who sets a length by hand reads it by the camera: no scale is written down.
+    return (*found, HOLDERS_CHANNEL) if config.stage.kind != "manual" else tuple(found)
+
+
+def read_standards(
+    config: RigConfig,
+    channels: Collection[str],
+    root: Path,
+    *,
+    u_mm: float = U_BLOCKS_MM,
+    who: str = "",
+    stop: StopFlag | None = None,
+    watch: Watch | None = None,
+    bench: VirtualBench | None = None,
+) -> tuple[tuple[StandardRead, ...], Path]:
+    """Have a person set gauge blocks, and read them; the muscle is vented and taken out before.
+
+    Args:
+        config: the rig.
+        channels: what is to read them, of `readable_standards`.
+        root: folder for the record.
+        u_mm: standard uncertainty of a length by blocks.
+        who, stop, watch: as for a calibration.
+        bench: the virtual bench of earlier tests, where this is to go on with it.
+
+    Returns:
+        The readings, and the folder of the record.
+
+    Raises:
+        DeviceError: the camera sees no block, or a device fails.
+    """
+    stop, watch = stop or StopFlag(), watch or Watch()
+    low, high = config.limits.length_min_mm, config.limits.length_max_mm
+    blocks = Reference("gauge blocks", u_each=u_mm)
+    with open_rig(config, bench=bench) as rig:
+        record = open_record(
+            rig, root, "calibrate-check", blocks, {"channels": sorted(channels)}, who
+        )
+        found: list[StandardRead] = []
+
+        def take(channel: str, true: float, read: float, u: float) -> None:
+            found.append(StandardRead(channel, true, read, float(math.hypot(u, u_mm))))
+            record.event("standard_reading", **vars(found[-1]))
+
+        def method() -> None:
+            rig.vent()
+            request(rig, "muscle off", 0.0, "mm", "take the muscle out")
+            if CAMERA_CHANNEL in channels:
+                for length in _places(low, high, PLACES):
+                    watch.state(f"gauge block of {length:g} mm before the camera")
+                    _read_block(rig, record, length, take)
+            if HOLDERS_CHANNEL in channels:
+                for length in _places(low, high, HELD):
+                    watch.state(f"distance of the holders at {length:g} mm")
+                    _read_holders(rig, length, take)
+            request(rig, "muscle", 0.0, "mm", "mount the muscle again")
+
+        carry_out(rig, record, method, stop)
+    return tuple(found), record.folder
+
+
+Take = Callable[[str, float, float, float], None]
+
+
+def _places(low: float, high: float, count: int) -> list[float]:
+    """Whole millimetres, evenly over the inner part of a range."""
+    first, last = (low + share * (high - low) for share in INNER)
+    return [float(round(length)) for length in np.linspace(first, last, count)]
+
+
+def _read_block(rig: Rig, record: RecordWriter, length: float, take: Take) -> None:
+    """One block before the camera, read as a length is in a test."""
+    from rigs.steps.pictures import take_picture
+
+    limits = rig.config.limits
+    asked = Request(
+        "block", length, "mm",
+        f"put a gauge block of {length:g} mm, or near it, in the place of the muscle; then press "
+        "Enter, or type its length in mm",
+    )  # fmt: skip
+    true, _ = request_done(
+        rig.operator, rig.event_loop, asked, limits.length_min_mm, limits.length_max_mm
+    )
+    camera = camera_values(rig.config)
+    pixels = []
+    for _ in range(PICTURES):
+        gap = take_picture(rig, record, camera).gap
+        if not gap.trusted:
+            raise DeviceError(
+                "camera", f"sees no block of {true:g} mm: {gap.reason}",
+                "its ends must show as the marks do",
+            )  # fmt: skip
+        pixels.append(gap.pixels)
+    mean, u = block_mean(rig.config.calibrations["length_mm"].apply(pixels))
+    take(CAMERA_CHANNEL, true, mean, u)
+
+
+def _read_holders(rig: Rig, length: float, take: Take) -> None:
+    """The distance of the holders where the stage says so, measured with blocks."""
+    assert isinstance(rig.stage, MotorStage)
+    written = rig.stage.set_value(length)
+    asked = Request(
+        "holders", math.nan, "mm",
+        f"the stage stands at {written:.2f} mm: measure with gauge blocks which length a muscle "
+        "would have between the holders, and type it in mm",
+    )  # fmt: skip
+    take(HOLDERS_CHANNEL, request_number(rig.operator, rig.event_loop, asked), written, 0.0)

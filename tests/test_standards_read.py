@@ -1,0 +1,104 @@
+"""Gauge blocks before the camera and between the holders, on the virtual bench and in its loop."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cli.investigate.investigate as loop
+from blind.physics.readings import read_length
+from cli.investigate.investigate import investigate
+from daq.clock import VirtualClock
+from daq.interrupt import StopFlag, Stopped
+from daq.store.run import open_run
+from daq.store.verify import findings
+from gap.verdict import Status
+from rigs.calibration.standards import StandardRead, read_standards, readable_standards
+from rigs.execution.runner import Watch
+from rigs.rigfile.config import RigConfig, load_rig
+from rigs.virtual.bench import VirtualBench
+from tests.test_investigate import few, rig_with
+from tests.test_withheld import hiding
+
+BOTH = ("length_mm", "held_length_mm")
+
+
+def errors(read: tuple[StandardRead, ...], channel: str) -> np.ndarray:
+    return np.array([one.read - one.true for one in read if one.channel == channel])
+
+
+def test_a_camera_and_holders_that_are_off_read_blocks_so(tmp_path: Path) -> None:
+    config = rig_with(
+        tmp_path, "[effects.camera_scale]\npercent = 0.5\n[effects.length_label]\noffset_mm = 0.3\n"
+    )
+    read, folder = read_standards(config, BOTH, tmp_path / "runs")
+    true = np.array([one.true for one in read if one.channel == "length_mm"])
+    assert len(set(true)) == 5
+    assert np.ptp(true) > 15.0
+    # The camera's own calibration is off by up to 0.02 mm and 0.05 % (k = 1) on this bench.
+    assert errors(read, "length_mm") == pytest.approx(0.005 * true, abs=0.15)
+    assert errors(read, "held_length_mm") == pytest.approx(-0.3, abs=0.06)
+    assert all(0.0 < one.u < 0.05 for one in read)
+    run = open_run(folder)
+    assert (run.final or {})["outcome"] == "clean"
+    assert findings(run) == ()
+    assert len([e for e in run.events if e["kind"] == "standard_reading"]) == len(read)
+
+
+def test_a_bench_of_hidden_physics_shows_blocks_by_its_own_camera(tmp_path: Path) -> None:
+    bench, _ = hiding("camera_scale", 0.5)
+    read, _ = read_standards(bench.config, ("length_mm",), tmp_path, bench=bench)
+    true = np.array([one.true for one in read])
+    expected = read_length(true, bench.live.constants, bench.live.effects) - true
+    assert np.abs(expected).max() > 0.2
+    assert errors(read, "length_mm") == pytest.approx(expected, abs=0.02)
+    # The muscle is back: a camera that still saw the last block would say 70 mm.
+    assert bench.sensor_error.length_mm(0.0) == bench.live.step(1e-6).length_mm
+
+
+def test_what_nobody_can_set_is_not_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert readable_standards(load_rig("virtual")) == BOTH
+    by_hand = load_rig("virtual-weights")
+    assert by_hand.stage.kind == "manual"
+    assert "held_length_mm" not in readable_standards(by_hand)  # no scale is written down there
+    monkeypatch.setattr(RigConfig, "is_virtual", False)
+    assert readable_standards(load_rig("virtual")) == ()  # no terminal: nobody is there
+
+
+def test_a_stop_keeps_the_record_and_what_was_read(tmp_path: Path) -> None:
+    stop = StopFlag()
+    watch = Watch()
+    asked: list[str] = []
+
+    def state(text: str) -> None:
+        asked.append(text)
+        if len(asked) == 3:
+            stop.set("test")
+
+    watch.state = state  # type: ignore[method-assign]
+    with pytest.raises(Stopped):
+        read_standards(load_rig("virtual"), BOTH, tmp_path, stop=stop, watch=watch)
+    (folder,) = [path for path in tmp_path.iterdir() if path.is_dir()]
+    run = open_run(folder)
+    assert (run.final or {})["outcome"] == "stopped"
+    assert len([e for e in run.events if e["kind"] == "standard_reading"]) == 2
+
+
+def test_where_no_test_decides_a_standard_is_read_and_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A wrong label looks like a camera that is off, as on withheld benches 853, 854 and 859."""
+    monkeypatch.setattr(loop, "battery", few)
+    config = rig_with(tmp_path, "[effects.length_label]\noffset_mm = 0.4\n")
+    bench = VirtualBench(config, VirtualClock())
+    found = investigate(config, tmp_path / "runs", bench=bench, derive=False)
+    assert (found.conclusion, found.family) == ("named", "length_sensor")
+    assert found.verdict.status is Status.NAMED
+    assert found.verdict.effects[0].ids == ("length_label",)
+    assert found.references == {}
+    last = found.rounds[-1]
+    assert last.protocol == "reference standards"
+    assert "length_label" in last.why
+    assert list(found.folder.glob("data-*/standards.csv"))
