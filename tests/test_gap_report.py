@@ -228,6 +228,19 @@ def test_the_pdf_begins_with_the_sentence(liner: Examination) -> None:
     assert "What to do next" in first, "sentence, traces and advice are on page one"
 
 
+def test_a_trial_of_which_nothing_is_compared_has_no_place_in_the_course(
+    liner: Examination,
+) -> None:
+    """An investigation's own data ended the report with a division by zero."""
+    field = liner.field
+    assert field is not None
+    silent = dataclasses.replace(field, weight=np.where(field.order == 2.0, 0.0, field.weight))
+    figure = course(silent)
+    assert figure is not None
+    shown = figure.axes[0].containers[0].lines[0].get_xdata()
+    assert len(shown) == len(np.unique(field.order)) - 1
+
+
 def test_no_legend_covers_a_bar_and_one_stage_does_not_fill_its_figure(liner: Examination) -> None:
     assert liner.field is not None
     figure = course(liner.field)
