@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import cli.investigate.investigate as loop
 from blind.physics.readings import read_length
 from cli.investigate.investigate import investigate
+from cli.main import app
 from daq.clock import VirtualClock
 from daq.interrupt import StopFlag, Stopped
 from daq.store.run import open_run
@@ -84,6 +87,39 @@ def test_a_stop_keeps_the_record_and_what_was_read(tmp_path: Path) -> None:
     run = open_run(folder)
     assert (run.final or {})["outcome"] == "stopped"
     assert len([e for e in run.events if e["kind"] == "standard_reading"]) == 2
+
+
+def test_the_command_writes_what_a_data_set_takes(tmp_path: Path) -> None:
+    out = tmp_path / "standards.csv"
+    wanted = ["calibrate", "check", "--out", str(out), "--records", str(tmp_path), "--json"]
+    done = CliRunner().invoke(app, wanted)
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    rows = out.read_text().splitlines()
+    assert rows[0] == "channel,true,read,u"
+    assert len(rows) == 1 + len(told["readings"]) == 9
+    again = CliRunner().invoke(app, wanted)
+    assert again.exit_code != 0
+    assert "exists already" in str(again.exception or again.output)
+
+
+@pytest.mark.parametrize(
+    ("extra", "named"),
+    [
+        (["--channels", "pressure_kpa"], "'pressure_kpa' cannot be read with gauge blocks"),
+        (["--channels", ""], "--channels"),
+        (["--u-mm", "0"], "--u-mm"),
+        (["--rig", "virtual-weights", "--channels", "held_length_mm"], "possible: length_mm"),
+    ],
+)
+def test_what_cannot_be_checked_is_refused_before_anything_moves(
+    extra: list[str], named: str, tmp_path: Path
+) -> None:
+    out = tmp_path / "standards.csv"
+    done = CliRunner().invoke(app, ["calibrate", "check", "--out", str(out), *extra])
+    assert done.exit_code != 0
+    assert named in str(done.exception or "") + done.output
+    assert not out.exists()
 
 
 def test_where_no_test_decides_a_standard_is_read_and_names_it(

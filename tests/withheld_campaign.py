@@ -46,11 +46,11 @@ when it can name the gap or has no test left. A name comes from the diagnosis (i
 given), or it is the only family left after a later test agreed with its prediction (*predicted*;
 see [investigate](../use/investigate.md)). Where a gauge block would decide what no test does, the
 virtual bench's person sets it, and the hidden camera or holders show it. *Right*: exactly one
-family is named, and it is the hidden one. *Not separable, confirmed*: the verdict offers a set that contains the hidden family
-(or finds no gap, but a stated value moved to the end of its tolerance) and names references that
-would decide, and by the generator's own measure one or two other entries take more than
-{100 * MIMICKED:.0f} % of what the effect leaves. Everything else is a miss. Intervals are Wilson
-intervals at 95 %.
+family is named, and it is the hidden one. *Not separable, confirmed*: the verdict offers a set that
+contains the hidden family (or finds no gap, but a stated value moved to the end of its tolerance)
+and names references that would decide, and by the generator's own measure one or two other entries
+take more than {100 * MIMICKED:.0f} % of what the effect leaves. Everything else is a miss.
+Intervals are Wilson intervals at 95 %.
 """.strip()
 
 

@@ -1,4 +1,4 @@
-"""`pamrig calibrate camera|pose|pressure|force|length|regulator`."""
+"""`pamrig calibrate camera|pose|pressure|force|length|regulator|check`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ RECORDS = Path("calibrations")
 
 def add_calibration(app: typer.Typer) -> None:
     """Add the commands of `pamrig calibrate`."""
-    for command in (camera, pose, pressure, force, length, regulator):
+    for command in (camera, pose, pressure, force, length, regulator, check):
         app.command()(command)
 
 
@@ -303,6 +303,56 @@ def regulator(
     )
     typer.echo(f"written: {out}   record: {done.folder}")
     typer.echo(f'in a rig file: [pressure_source] dynamics = "{out.name}"')
+
+
+def check(
+    out: Annotated[Path, typer.Option("--out", help="standards.csv to write.")],
+    rig: RigOption = "virtual",
+    channels: Annotated[
+        str, typer.Option("--channels", help="length_mm (camera), held_length_mm (holders).")
+    ] = "length_mm,held_length_mm",
+    u_blocks: Annotated[
+        float, typer.Option("--u-mm", help="u of a length by gauge blocks, in mm.")
+    ] = 0.01,
+    records: RecordsOption = RECORDS,
+    operator: OperatorOption = "",
+    replace: ReplaceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """What camera and holders are off by now: gauge blocks, for the diagnosis. Changes nothing."""
+    from daq.wholefile import whole_files
+    from gap.data.dataset import StandardReading
+    from gap.data.from_runs import standards_text
+    from rigs.calibration.standards import read_standards, readable_standards
+    from rigs.rigfile.config import load_rig
+
+    bounded("--u-mm", u_blocks, 0.0, 10.0, "mm", above=True)
+    config = load_rig(rig)
+    wanted = [word.strip() for word in channels.split(",") if word.strip()]
+    possible = readable_standards(config)
+    for word in wanted or [""]:
+        if word not in possible:
+            raise ConfigError(
+                "--channels", f"{word!r} cannot be read with gauge blocks here ({config.source})",
+                f"possible: {', '.join(possible)}" if possible else "run it at a terminal",
+            )  # fmt: skip
+    with _calibrating(out, replace, 0) as stop:
+        read, folder = read_standards(
+            config, wanted, records, u_mm=u_blocks, who=operator, stop=stop, watch=_watch(as_json)
+        )
+    rows = [StandardReading(**vars(one)) for one in read]
+    with writing(out), whole_files() as part:
+        part(out).write_text(standards_text(rows), encoding="utf-8")
+    if as_json:
+        print_json(
+            {"readings": [vars(one) for one in rows], "file": str(out), "record": str(folder)}
+        )
+        return
+    typer.echo(f"{'channel':>15} {'true':>9} {'read':>9} {'off':>8} {'u':>7} mm")
+    for one in rows:
+        off = one.read - one.true
+        typer.echo(f"{one.channel:>15} {one.true:9.3f} {one.read:9.3f} {off:8.3f} {one.u:7.3f}")
+    typer.echo(f"written: {out}   record: {folder}")
 
 
 def _pair(text: str, separator: str, key: str, example: str) -> tuple[float, float]:

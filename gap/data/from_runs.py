@@ -182,8 +182,8 @@ def _write(
             table.to_csv(part(folder / "trials.csv"), index=False)
             samples.to_parquet(part(folder / "samples.parquet"), index=False)
             if standards:
-                read = pd.DataFrame([vars(one) for one in standards])
-                read.to_csv(part(folder / "standards.csv"), index=False)
+                text = standards_text(standards)
+                part(folder / "standards.csv").write_text(text, encoding="utf-8")
             for name, values in (("bench.toml", bench), ("calibration.toml", calibration)):
                 if values:
                     part(folder / name).write_text(_toml_text(values), encoding="utf-8")
@@ -191,6 +191,11 @@ def _write(
         raise GapError(str(folder), f"cannot be written: {error.strerror}") from None
     slots = len({row["slot"] for row in rows})
     return Exported(folder, len(rows), slots, len(samples), runs)
+
+
+def standards_text(readings: Iterable[StandardReading]) -> str:
+    """What instruments read of standards as the text of a `standards.csv`."""
+    return str(pd.DataFrame([vars(one) for one in readings]).to_csv(index=False))
 
 
 def _bench(runs: Sequence[Run], plant: Path | None) -> dict[str, Any]:
