@@ -18,12 +18,15 @@ from hypothesis import strategies as st
 from blind.physics.readings import picture_scale
 from gap.data.dataset import DataSet, StandardReading
 from gap.data.reader import STANDARDS, read_dataset
-from gap.decision.diagnose import diagnose
+from gap.decision.diagnose import diagnose, with_standards
+from gap.decision.diagnosis import diagnosis
 from gap.decision.fingerprint import fingerprint
 from gap.errors import GapError
-from gap.estimation.standards import ERRORS_OF, check_standards
+from gap.estimation.standards import ERRORS_OF, StandardCheck, check_standards
+from gap.reason import Cause, reason
 from gap.reporting.examination import examine
 from gap.reporting.report import render_report
+from gap.verdict import Estimate, Explanation, Status, Verdict
 from plant.constants import nominal
 from plant.effects.effects import Effects
 from tests.gap_bench import write_set
@@ -129,6 +132,34 @@ def test_beside_what_a_standard_shows_the_tests_are_explained_as_ever(tmp_path: 
     assert str(verdict.reason).startswith("force_gain, shown by a reference standard; beside that")
 
 
+def test_what_is_unknown_beside_a_standard_is_kept_and_read_again(tmp_path: Path) -> None:
+    """Kept with its reason as an object it could not be written."""
+    effects = {"force_gain": {"percent": 4.0}, "creep": {"relaxation_percent": 20.0}}
+    data = read_dataset(write_set(tmp_path, effects, seed=3, replicates=2))
+    weights = np.array([0.0, 40.0, 80.0])
+    known = replace(data, standards=readings("force_n", weights, 0.04 * weights))
+    made = diagnosis(known, ("creep",))
+    assert made.verdict.status == "unknown"
+    assert made.verdict.sure == ("force_gain",)
+    again = diagnosis(known, ("creep",))
+    assert again.verdict.as_dict() == made.verdict.as_dict()
+    assert again.problem is not None
+    assert "force_gain" in again.problem.data.effects
+
+
+def test_parameters_of_one_name_are_told_apart() -> None:
+    """Two gains by standards, and a third scale beside them by tests."""
+    shown = {"force_gain": {"percent": 4.0}, "pressure_gain": {"percent": 2.0}}
+    check = StandardCheck(
+        Effects.from_config(shown), {"force_gain": (4.0, 0.1), "pressure_gain": (2.0, 0.1)}
+    )
+    entry = Explanation(("camera_scale",), "length_sensor", 0.9, {"percent": Estimate(0.5)})
+    verdict = Verdict(Status.NAMED, reason(Cause.NO_GAP), "sensor", (entry,), 0.0, 0.1)
+    (found,) = with_standards(verdict, check).effects
+    values = {name: one.value for name, one in found.parameters.items()}
+    assert values == {"percent": 4.0, "pressure_gain_percent": 2.0, "camera_scale_percent": 0.5}
+
+
 @pytest.mark.parametrize(
     ("row", "named"),
     [
@@ -151,6 +182,12 @@ def test_readings_that_cannot_be_are_refused(row: str, named: str, held_off: Pat
         path.unlink()
     assert named in str(caught.value)
     assert "standards.csv" in str(caught.value)
+
+
+def test_an_instrument_that_is_far_off_is_refused_by_name() -> None:
+    """A block written down in another row: 30 % is a slip, or no measurement at all."""
+    with pytest.raises(GapError, match="standards.csv.*too large.*percent"):
+        check_standards(data_with(readings("length_mm", BLOCKS, 0.3 * np.array(BLOCKS))))
 
 
 def test_every_channel_that_may_read_a_standard_has_errors_that_it_shows() -> None:

@@ -6,7 +6,7 @@ verdict.status, [effect.ids for effect in verdict.effects]
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -268,10 +268,10 @@ def with_standards(verdict: Verdict, check: StandardCheck) -> Verdict:
     if not check.shown:
         return verdict
     names, first = check.shown, CATALOGUE[check.shown[0]]
-    found = {
-        str(CATALOGUE[name].headline): Estimate(value, value - 1.96 * u, value + 1.96 * u)
-        for name, (value, u) in check.errors.items()
-    }
+    found: dict[str, Estimate] = {}
+    for name, (value, u) in check.errors.items():
+        own = {str(CATALOGUE[name].headline): Estimate(value, value - 1.96 * u, value + 1.96 * u)}
+        found = _beside(found, (name,), own)
     told = " and ".join(names)
     if verdict.status is Status.NO_GAP_ABOVE_FLOOR:
         known = 1.0 - verdict.probability_unknown
@@ -286,18 +286,29 @@ def with_standards(verdict: Verdict, check: StandardCheck) -> Verdict:
         )
     return replace(
         verdict,
-        reason=reason(Cause.STANDARD_BESIDE, names=told, rest=verdict.reason),
+        reason=reason(Cause.STANDARD_BESIDE, names=told, rest=str(verdict.reason)),
         effects=tuple(
             Explanation(
                 (*names, *entry.ids),
                 "+".join(dict.fromkeys((first.family, *entry.family.split("+")))),
                 entry.probability,
-                {**found, **entry.parameters},
+                _beside(found, entry.ids, entry.parameters),
             )
             for entry in verdict.effects
         ),
         sure=(*names, *verdict.sure),
     )
+
+
+def _beside(
+    first: Mapping[str, Estimate], ids: Sequence[str], parameters: Mapping[str, Estimate]
+) -> dict[str, Estimate]:
+    """Parameters of further effects beside others; one of the same name gets its id in front."""
+    made = dict(first)
+    for key, value in parameters.items():
+        owner = next((name for name in ids if CATALOGUE[name].headline == key), ids[0])
+        made[key if key not in first else f"{owner}_{key}"] = value
+    return made
 
 
 def _unfit_plant(data: DataSet, found: list[UnfitPlant]) -> Verdict:

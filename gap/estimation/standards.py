@@ -14,10 +14,12 @@ from itertools import combinations
 import numpy as np
 
 from gap.data.dataset import DataSet, StandardReading
+from gap.errors import GapError
 from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.effects.catalogue import CATALOGUE
 from plant.effects.effects import NONE, Effects
+from plant.errors import PlantError
 from plant.simulator.readings import read_force, read_length, read_pressure
 from plant.simulator.simulate import held_offset_mm
 
@@ -80,6 +82,9 @@ def check_standards(data: DataSet) -> StandardCheck:
 
     An error stands out by 9 in chi-square beside what calibration.toml states of the channel's zero
     and gain, and the uncertainties of the readings. Two errors of one instrument need that each.
+
+    Raises:
+        GapError: an error is larger than its effect may be.
     """
     shown: dict[str, Mapping[str, float | str]] = {}
     errors: dict[str, tuple[float, float]] = {}
@@ -95,7 +100,14 @@ def check_standards(data: DataSet) -> StandardCheck:
             shown[name] = {**data.effects.values.get(name, {}), headline: amount}
             errors[name] = amount, float(np.sqrt(found.covariance[k, k]))
         cleared += [n for n in names if n not in found.ids and _would_show(n, own, data.constants)]
-    return StandardCheck(Effects.from_config(shown, "standards"), errors, tuple(cleared))
+    try:
+        effects = Effects.from_config(shown)
+    except PlantError as error:
+        raise GapError(
+            f"{data.origin}, standards.csv", f"shows an error of an instrument that is too large "
+            f"({error})", "check true and read, and calibrate the instrument",
+        ) from None  # fmt: skip
+    return StandardCheck(effects, errors, tuple(cleared))
 
 
 def with_known_errors(data: DataSet) -> tuple[DataSet, StandardCheck]:
