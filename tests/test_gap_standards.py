@@ -186,7 +186,7 @@ def test_readings_that_cannot_be_are_refused(row: str, named: str, held_off: Pat
 
 def test_an_instrument_that_is_far_off_is_refused_by_name() -> None:
     """A block written down in another row: 30 % is a slip, or no measurement at all."""
-    with pytest.raises(GapError, match="standards.csv.*too large.*percent"):
+    with pytest.raises(GapError, match=r"standards\.csv.*too large.*percent"):
         check_standards(data_with(readings("length_mm", BLOCKS, 0.3 * np.array(BLOCKS))))
 
 
