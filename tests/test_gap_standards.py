@@ -6,11 +6,13 @@ A camera 0.2 % off and holders that stand 0.2 mm off look alike in every test (w
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -22,10 +24,12 @@ from gap.decision.diagnose import diagnose, with_standards
 from gap.decision.diagnosis import diagnosis
 from gap.decision.fingerprint import fingerprint
 from gap.errors import GapError
+from gap.estimation.fit_problem import FitProblem
 from gap.estimation.standards import ERRORS_OF, StandardCheck, check_standards
 from gap.reason import Cause, reason
 from gap.reporting.examination import examine
 from gap.reporting.report import render_report
+from gap.validation.improved_plant import improved_plant
 from gap.verdict import Estimate, Explanation, Status, Verdict
 from plant.constants import nominal
 from plant.effects.effects import Effects
@@ -40,6 +44,18 @@ def readings(channel: str, at: Any, off: Any, u: float = 0.01) -> tuple[Standard
         StandardReading(channel, float(true), float(true + error), u)
         for true, error in zip(at, np.broadcast_to(off, at.shape), strict=True)
     )
+
+
+def pulled(folder: Path, gain: float) -> Path:
+    """A data set whose force sensor shows so many times the force."""
+    (path,) = folder.glob("samples.*")
+    samples = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
+    samples["force_n"] *= gain
+    if path.suffix == ".parquet":
+        samples.to_parquet(path, index=False)
+    else:
+        samples.to_csv(path, index=False)
+    return folder
 
 
 def data_with(
@@ -123,8 +139,8 @@ def test_a_standard_tells_what_no_test_does(held_off: Path) -> None:
 
 
 def test_beside_what_a_standard_shows_the_tests_are_explained_as_ever(tmp_path: Path) -> None:
-    effects = {"force_gain": {"percent": 4.0}, "liner_threshold": {"threshold_kpa": 60.0}}
-    data = read_dataset(write_set(tmp_path, effects, seed=3, replicates=2))
+    effects = {"liner_threshold": {"threshold_kpa": 60.0}}
+    data = read_dataset(pulled(write_set(tmp_path, effects, seed=3, replicates=2), 1.04))
     weights = np.array([0.0, 40.0, 80.0])
     verdict = diagnose(replace(data, standards=readings("force_n", weights, 0.04 * weights)))
     assert set(verdict.effects[0].ids) == {"force_gain", "liner_threshold"}
@@ -134,8 +150,8 @@ def test_beside_what_a_standard_shows_the_tests_are_explained_as_ever(tmp_path: 
 
 def test_what_is_unknown_beside_a_standard_is_kept_and_read_again(tmp_path: Path) -> None:
     """Kept with its reason as an object it could not be written."""
-    effects = {"force_gain": {"percent": 4.0}, "creep": {"relaxation_percent": 20.0}}
-    data = read_dataset(write_set(tmp_path, effects, seed=3, replicates=2))
+    effects = {"creep": {"relaxation_percent": 20.0}}
+    data = read_dataset(pulled(write_set(tmp_path, effects, seed=3, replicates=2), 1.04))
     weights = np.array([0.0, 40.0, 80.0])
     known = replace(data, standards=readings("force_n", weights, 0.04 * weights))
     made = diagnosis(known, ("creep",))
@@ -158,6 +174,29 @@ def test_parameters_of_one_name_are_told_apart() -> None:
     (found,) = with_standards(verdict, check).effects
     values = {name: one.value for name, one in found.parameters.items()}
     assert values == {"percent": 4.0, "pressure_gain_percent": 2.0, "camera_scale_percent": 0.5}
+
+
+def test_what_tests_add_to_an_error_that_is_stated_counts_to_it(tmp_path: Path) -> None:
+    """The effect stood twice in the improved plant, which could not be read."""
+    data = read_dataset(pulled(write_set(tmp_path, seed=3), 1.04))
+    half = replace(data, effects=Effects.from_config({"force_gain": {"percent": 2.0}}))
+    problem = FitProblem.of(half)
+    fit = problem.fit_effects(["force_gain"])
+    plant = tomllib.loads(improved_plant(problem, fit))
+    assert plant["effects"]["force_gain"]["percent"] == pytest.approx(4.0, abs=0.3)
+    shown = StandardCheck(
+        Effects.from_config({"force_gain": {"percent": 2.0}}), {"force_gain": (2.0, 0.1)}
+    )
+    entry = Explanation(
+        ("force_gain", "creep"), "force_sensor+rate", 0.9,
+        {"percent": Estimate(0.5, 0.4, 0.6), "relaxation_percent": Estimate(20.0)},
+    )  # fmt: skip
+    verdict = Verdict(Status.NAMED, reason(Cause.NO_GAP), "sensor", (entry,), 0.0, 0.1)
+    (found,) = with_standards(verdict, shown).effects
+    assert (found.ids, found.family) == (("force_gain", "creep"), "force_sensor+rate")
+    percent = found.parameters["percent"]
+    assert (percent.value, percent.low, percent.high) == pytest.approx((2.5, 2.204, 2.796))
+    assert found.parameters["relaxation_percent"].value == 20.0
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,7 @@ def diagnose_with_search(
     FitProblem and search are None where the data are unfit or nothing can be compared.
     """
     known, check = with_known_errors(data)
-    verdict, problem, search = verdict_by_catalogue(known, (*without, *check.measured))
+    verdict, problem, search = verdict_by_catalogue(known, (*without, *check.cleared))
     if problem is None or search is None:
         return with_standards(verdict, check), None, None
     verdict = with_empirical_term(verdict, problem, search)
@@ -268,35 +268,46 @@ def with_standards(verdict: Verdict, check: StandardCheck) -> Verdict:
     if not check.shown:
         return verdict
     names, first = check.shown, CATALOGUE[check.shown[0]]
-    found: dict[str, Estimate] = {}
-    for name, (value, u) in check.errors.items():
-        own = {str(CATALOGUE[name].headline): Estimate(value, value - 1.96 * u, value + 1.96 * u)}
-        found = _beside(found, (name,), own)
     told = " and ".join(names)
     if verdict.status is Status.NO_GAP_ABOVE_FLOOR:
-        known = 1.0 - verdict.probability_unknown
+        alone = Explanation((), "", 1.0 - verdict.probability_unknown)
         return replace(
             verdict,
             status=Status.NAMED,
             reason=reason(Cause.STANDARD, names=told),
             stage=first.stage,
-            effects=(Explanation(names, first.family, known, found),),
+            effects=(_with_shown(alone, check),),
             probability_none=0.0,
             sure=names,
         )
     return replace(
         verdict,
         reason=reason(Cause.STANDARD_BESIDE, names=told, rest=str(verdict.reason)),
-        effects=tuple(
-            Explanation(
-                (*names, *entry.ids),
-                "+".join(dict.fromkeys((first.family, *entry.family.split("+")))),
-                entry.probability,
-                _beside(found, entry.ids, entry.parameters),
-            )
-            for entry in verdict.effects
-        ),
-        sure=(*names, *verdict.sure),
+        effects=tuple(_with_shown(entry, check) for entry in verdict.effects),
+        sure=tuple(dict.fromkeys((*names, *verdict.sure))),
+    )
+
+
+def _with_shown(entry: Explanation, check: StandardCheck) -> Explanation:
+    """An entry with the errors that standards show in front; what it adds to one counts to it."""
+    found: dict[str, Estimate] = {}
+    own = dict(entry.parameters)
+    for name, (value, u) in check.errors.items():
+        headline = str(CATALOGUE[name].headline)
+        more = Estimate(0.0, 0.0, 0.0)
+        if name in entry.ids:
+            key = f"{name}_{headline}" if f"{name}_{headline}" in own else headline
+            more = own.pop(key, more)
+        off, low, high = (float(x or 0.0) for x in (more.value, more.low, more.high))
+        both = Estimate(value + off, value + low - 1.96 * u, value + high + 1.96 * u)
+        found = _beside(found, (name,), {headline: both})
+    rest = tuple(name for name in entry.ids if name not in check.errors)
+    families = [CATALOGUE[name].family for name in check.shown] + entry.family.split("+")
+    return Explanation(
+        (*check.shown, *rest),
+        "+".join(dict.fromkeys(filter(None, families))),
+        entry.probability,
+        _beside(found, rest, own),
     )
 
 

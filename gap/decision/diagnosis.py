@@ -85,7 +85,7 @@ class Diagnosis:
             return
         fits, self._fits = self._fits, None
         data, check = with_known_errors(self._data)
-        candidates = candidates_without((*self._without, *check.measured))
+        candidates = candidates_without((*self._without, *check.cleared))
         self._problem = FitProblem.restored(data, fits.state, candidates)
         search = fits.search
         if search is not None and not search.best.keys:

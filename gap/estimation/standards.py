@@ -119,7 +119,12 @@ def with_known_errors(data: DataSet) -> tuple[DataSet, StandardCheck]:
         return data, StandardCheck()
     check = check_standards(data)
     stated = Effects({**data.effects.values, **check.effects.values})
-    return replace(data, effects=stated, standards=()), check
+    calibration = dict(data.calibration)
+    for name, (_, u) in check.errors.items():
+        key = CATALOGUE[name].calibration
+        if key:  # how well the error is known takes the place of what was stated
+            calibration[key] = max(calibration.get(key, 0.0), u)
+    return replace(data, effects=stated, calibration=calibration, standards=()), check
 
 
 def _read(channel: str, true: Array, constants: PlantConstants, effects: Effects) -> Array:

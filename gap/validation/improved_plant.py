@@ -38,7 +38,7 @@ def improved_plant(
         for name in CHOICES
         if getattr(constants, name) != getattr(usual, name)
     ]
-    for name in [*problem.data.effects.values, *fit.ids]:
+    for name in dict.fromkeys([*problem.data.effects.values, *fit.ids]):
         if name not in CATALOGUE:
             continue
         single = [s for s in fit.candidates if s.id == name and s.single]
@@ -58,6 +58,8 @@ def improved_plant(
             if isinstance(value, str):
                 lines.append(f'{key} = "{value}"')
             elif key in known:
+                if key == entry.headline and name in problem.data.effects:
+                    value += entry.amount(problem.data.effects.values[name], constants)
                 value = min(max(value, known[key].low), known[key].high)
                 lines.append(f"{key} = {value:.6g}")
         for key, value in _shape(problem, fit, name).items():
