@@ -23,11 +23,17 @@ from plant.errors import PlantError
 from plant.simulator.readings import read_force, read_length, read_pressure
 from plant.simulator.simulate import held_offset_mm
 
+
+def _of_sensor(hook: str) -> tuple[str, ...]:
+    """Effects on what one instrument shows, by their hook in the sensors."""
+    return tuple(e.id for e in CATALOGUE.values() if getattr(e.sensors, hook) is not None)
+
+
 ERRORS_OF: Mapping[str, tuple[str, ...]] = {
-    "length_mm": ("camera_scale", "camera_distortion"),
-    "held_length_mm": ("length_label",),
-    "pressure_kpa": ("pressure_zero", "pressure_gain"),
-    "force_n": ("force_zero", "force_gain"),
+    "length_mm": _of_sensor("camera"),
+    "held_length_mm": _of_sensor("held"),
+    "pressure_kpa": _of_sensor("pressure"),
+    "force_n": _of_sensor("force"),
 }
 """Effects that a standard shows, by the channel that reads it."""
 _STATED: Mapping[str, tuple[str, str]] = {
