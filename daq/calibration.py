@@ -148,3 +148,21 @@ class Calibration:
         except (TypeError, ValueError) as error:
             raise ConfigError(where, f"not a number: {error}") from error
         return Calibration(**plain)
+
+
+@dataclass(frozen=True)
+class StandardReading:
+    """What an instrument read of a reference standard.
+
+    Attributes:
+        channel: "length_mm" (a block before the camera), "held_length_mm" (the length that is
+            written down with a block between the holders), "pressure_kpa" or "force_n".
+        true: value of the standard, in the unit of the channel.
+        read: what the instrument read.
+        u: standard uncertainty of read minus true.
+    """
+
+    channel: str
+    true: float
+    read: float
+    u: float

@@ -18,7 +18,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from blind.physics.readings import picture_scale
-from gap.data.dataset import DataSet, StandardReading
+from daq.calibration import StandardReading
+from gap.data.dataset import DataSet
 from gap.data.reader import STANDARDS, read_dataset
 from gap.decision.diagnose import diagnose, with_standards
 from gap.decision.diagnosis import diagnosis

@@ -13,12 +13,14 @@ import cli.investigate.investigate as loop
 from blind.physics.readings import read_length
 from cli.investigate.investigate import investigate
 from cli.main import app
+from daq.calibration import StandardReading
 from daq.clock import VirtualClock
 from daq.interrupt import StopFlag, Stopped
 from daq.store.run import open_run
 from daq.store.verify import findings
 from gap.verdict import Status
-from rigs.calibration.standards import StandardRead, read_standards, readable_standards
+from rigs.calibration.standards import _places, read_standards, readable_standards
+from rigs.devices.operator import Request
 from rigs.execution.runner import Watch
 from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
@@ -28,7 +30,7 @@ from tests.test_withheld import hiding
 BOTH = ("length_mm", "held_length_mm")
 
 
-def errors(read: tuple[StandardRead, ...], channel: str) -> np.ndarray:
+def errors(read: tuple[StandardReading, ...], channel: str) -> np.ndarray:
     return np.array([one.read - one.true for one in read if one.channel == channel])
 
 
@@ -59,6 +61,47 @@ def test_a_bench_of_hidden_physics_shows_blocks_by_its_own_camera(tmp_path: Path
     assert errors(read, "length_mm") == pytest.approx(expected, abs=0.02)
     # The muscle is back: a camera that still saw the last block would say 70 mm.
     assert bench.sensor_error.length_mm(0.0) == bench.live.step(1e-6).length_mm
+
+
+def test_the_stage_moves_only_when_nothing_is_between_the_holders(tmp_path: Path) -> None:
+    """A block of 70 mm was still in when it went to 53."""
+    asked: list[str] = []
+    moved: list[str] = []
+    config = load_rig("virtual")
+    bench = VirtualBench(config, VirtualClock())
+    step = bench.plant.set_length_rate
+
+    def rate(mm_s: float) -> None:
+        moved.append(asked[-1] if asked else "")
+        step(mm_s)
+
+    bench.plant.set_length_rate = rate  # type: ignore[method-assign]
+    make = bench.extras.operator
+
+    def person(*args: object) -> object:
+        found = make(*args)  # type: ignore[arg-type]
+        assert found is not None
+        begin = found.begin
+
+        def heard(request: Request) -> None:
+            asked.append(request.axis)
+            begin(request)
+
+        found.begin = heard  # type: ignore[method-assign]
+        return found
+
+    bench.extras.operator = person  # type: ignore[method-assign, assignment]
+    read_standards(config, BOTH, tmp_path, bench=bench)
+    assert moved
+    assert set(moved) == {"clear"}
+
+
+@pytest.mark.parametrize(("low", "high"), [(51.0, 72.5), (5.0, 70.0), (0.2, 4.0)])
+def test_lengths_of_blocks_differ_and_lie_within_the_range(low: float, high: float) -> None:
+    for count in (3, 5):
+        places = _places(low, high, count)
+        assert len(set(places)) == count
+        assert all(low <= place <= high for place in places)
 
 
 def test_what_nobody_can_set_is_not_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -321,7 +321,6 @@ def check(
 ) -> None:
     """What camera and holders are off by now: gauge blocks, for the diagnosis. Changes nothing."""
     from daq.wholefile import whole_files
-    from gap.data.dataset import StandardReading
     from gap.data.from_runs import standards_text
     from rigs.calibration.standards import read_standards, readable_standards
     from rigs.rigfile.config import load_rig
@@ -340,16 +339,15 @@ def check(
         read, folder = read_standards(
             config, wanted, records, u_mm=u_blocks, who=operator, stop=stop, watch=_watch(as_json)
         )
-    rows = [StandardReading(**vars(one)) for one in read]
     with writing(out), whole_files() as part:
-        part(out).write_text(standards_text(rows), encoding="utf-8")
+        part(out).write_text(standards_text(read), encoding="utf-8")
     if as_json:
         print_json(
-            {"readings": [vars(one) for one in rows], "file": str(out), "record": str(folder)}
+            {"readings": [vars(one) for one in read], "file": str(out), "record": str(folder)}
         )
         return
     typer.echo(f"{'channel':>15} {'true':>9} {'read':>9} {'off':>8} {'u':>7} mm")
-    for one in rows:
+    for one in read:
         off = one.read - one.true
         typer.echo(f"{one.channel:>15} {one.true:9.3f} {one.read:9.3f} {off:8.3f} {one.u:7.3f}")
     typer.echo(f"written: {out}   record: {folder}")

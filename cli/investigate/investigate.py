@@ -22,10 +22,11 @@ import numpy as np
 from analysis.reporting.derived import try_derive
 from cli.investigate.config import INVESTIGATION
 from cli.investigate.survey import Test, battery, protocol_text
+from daq.calibration import StandardReading
 from daq.errors import PamrigError
 from daq.interrupt import StopFlag, Stopped
 from daq.store.run import Run, open_run
-from gap.data.dataset import DataSet, StandardReading
+from gap.data.dataset import DataSet
 from gap.data.from_runs import export_runs, stated_plant
 from gap.data.reader import read_dataset
 from gap.decision.at_bound import relieving
@@ -40,7 +41,7 @@ from gap.validation.config import VALIDATION
 from gap.validation.prediction import families, margins, predict_trials, rivals_of
 from gap.verdict import Status, Verdict
 from plant.arrays import Array
-from rigs.calibration.standards import StandardRead, read_standards, readable_standards
+from rigs.calibration.standards import read_standards, readable_standards
 from rigs.execution.session import run_protocol
 from rigs.protocols.registry import procedure
 from rigs.rigfile.config import RigConfig
@@ -305,21 +306,18 @@ class _Running(SequentialVerdict):
         """Join a run to those before it and diagnose all of them."""
         self.runs.append(run)
         self.tests.append(test)
-        minutes = float((run.final or {}).get("duration_s") or 0.0) / 60.0
         known: tuple[str, tuple[str, ...], str] = ("", (), "the survey is not whole yet")
         predicted: dict[str, Any] | None = None
         if len(self.runs) >= INVESTIGATION.first_diagnosis_after:
             predicted = self._diagnose()
-            assert self.verdict is not None
-            ids = tuple(" + ".join(effect.ids) for effect in self.verdict.effects)
-            known = (self.verdict.status, ids, conclusion_text(self))
+            known = self._known()
         self.rounds.append(
             Round(
                 test.protocol,
                 why,
                 run.run_id,
                 outcome,
-                minutes,
+                _minutes(run),
                 *known,
                 predicted=predicted,
             )
@@ -338,25 +336,28 @@ class _Running(SequentialVerdict):
         )
 
     def take_standards(
-        self, channels: Sequence[str], read: Sequence[StandardRead], record: Path
+        self, channels: Sequence[str], read: Sequence[StandardReading], record: Path
     ) -> None:
         """Take in what the instruments read of standards, and diagnose the tests with it."""
         between = " or ".join(
             n for n in self.references if any(n in ERRORS_OF[c] for c in channels)
         )
-        self.standards += [StandardReading(**vars(one)) for one in read]
+        self.standards += read
         self.search = None  # no test is new: none is to be predicted
         self._diagnose()
-        assert self.verdict is not None
-        ids = tuple(" + ".join(effect.ids) for effect in self.verdict.effects)
         run = open_run(record)
+        why = f"to see whether there is {between}"
         self.rounds.append(
             Round(
-                "reference standards", f"to see whether there is {between}", run.run_id, "clean",
-                float((run.final or {}).get("duration_s") or 0.0) / 60.0, self.verdict.status, ids,
-                conclusion_text(self),
+                "reference standards", why, run.run_id, "clean", _minutes(run), *self._known()
             )
         )  # fmt: skip
+
+    def _known(self) -> tuple[str, tuple[str, ...], str]:
+        """Status, entries and conclusion of the last diagnosis, for a round."""
+        assert self.verdict is not None
+        ids = tuple(" + ".join(effect.ids) for effect in self.verdict.effects)
+        return self.verdict.status, ids, conclusion_text(self)
 
     def _diagnose(self) -> dict[str, Any] | None:
         """Diagnose all runs; how what was found before fared on the last of them."""
@@ -400,6 +401,10 @@ class _Running(SequentialVerdict):
         text = json.dumps(found.as_dict(), indent=2, allow_nan=False)
         (self.folder / "investigation.json").write_text(text + "\n", encoding="utf-8")
         return found
+
+
+def _minutes(run: Run) -> float:
+    return float((run.final or {}).get("duration_s") or 0.0) / 60.0
 
 
 def _trials_of(problem: FitProblem, run: Run) -> list[int]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from daq.calibration import StandardReading
 from gap.data.simulator import ExternalSimulator
 from gap.data.trial import Trial
 from plant.constants import PlantConstants
@@ -20,24 +21,6 @@ CALIBRATION = (
     "pressure_clock_ms", "force_clock_ms", "length_clock_ms",
 )  # fmt: skip
 """Keys of `calibration.toml`."""
-
-
-@dataclass(frozen=True)
-class StandardReading:
-    """What an instrument read of a reference standard.
-
-    Attributes:
-        channel: "length_mm" (a block before the camera), "held_length_mm" (the length that is
-            written down with a block between the holders), "pressure_kpa" or "force_n".
-        true: value of the standard, in the unit of the channel.
-        read: what the instrument read.
-        u: standard uncertainty of read minus true.
-    """
-
-    channel: str
-    true: float
-    read: float
-    u: float
 
 
 @dataclass(frozen=True)

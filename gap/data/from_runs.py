@@ -17,11 +17,12 @@ from typing import Any
 import pandas as pd
 
 from analysis.run_table import contents_of
+from daq.calibration import StandardReading
 from daq.errors import RecordError
 from daq.store.run import Run, open_run
 from daq.store.verify import findings
 from daq.wholefile import whole_files
-from gap.data.dataset import DataSet, StandardReading
+from gap.data.dataset import DataSet
 from gap.data.joint_trials import MUSCLES, is_joint, joint_calibration, joint_trials
 from gap.data.reader import read_bench, read_dataset
 from gap.data.regulator import regulator_notes

@@ -18,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from gap.data.dataset import CALIBRATION, DataSet, StandardReading
+from daq.calibration import StandardReading
+from gap.data.dataset import CALIBRATION, DataSet
 from gap.data.plausible import remarks
 from gap.data.tables import Table, numbers, read_table, unit_check
 from gap.data.trial import CHANNELS, COMMANDS, Channel, Trial

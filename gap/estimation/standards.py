@@ -13,7 +13,8 @@ from itertools import combinations
 
 import numpy as np
 
-from gap.data.dataset import DataSet, StandardReading
+from daq.calibration import StandardReading
+from gap.data.dataset import DataSet
 from gap.errors import GapError
 from plant.arrays import Array
 from plant.constants import PlantConstants

@@ -58,8 +58,8 @@ def improved_plant(
             if isinstance(value, str):
                 lines.append(f'{key} = "{value}"')
             elif key in known:
-                if key == entry.headline and name in problem.data.effects:
-                    value += entry.amount(problem.data.effects.values[name], constants)
+                if key == entry.headline:
+                    value += _stated_amount(problem, fit, name)
                 value = min(max(value, known[key].low), known[key].high)
                 lines.append(f"{key} = {value:.6g}")
         for key, value in _shape(problem, fit, name).items():
@@ -100,6 +100,16 @@ def _correction_lines(correction: Correction) -> list[str]:
     for term in table["terms"]:
         lines += [f"[[{name}.terms]]", *(f"{k} = {toml_value(v)}" for k, v in term.items())]
     return lines
+
+
+def _stated_amount(problem: FitProblem, fit: FitResult, name: str) -> float:
+    """What `bench.toml` states of an effect already, where it is on the same side or edge."""
+    table = problem.data.effects.values.get(name)
+    if table is None:
+        return 0.0
+    word = next((str(v) for v in table.values() if isinstance(v, str)), "")
+    option = next(s.option for s in fit.candidates if s.id == name)
+    return CATALOGUE[name].amount(table, problem.data.constants) if word == option else 0.0
 
 
 def _shape(problem: FitProblem, fit: FitResult, name: str) -> Mapping[str, float]:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from analysis.regression.calibration_line import Reference
+from daq.calibration import StandardReading
 from daq.errors import DeviceError
 from daq.interrupt import StopFlag
 from daq.record.writer import RecordWriter
@@ -42,16 +42,6 @@ U_BLOCKS_MM = 0.01
 advice of the diagnosis counts on 0.02 to 0.05 mm."""
 
 
-@dataclass(frozen=True)
-class StandardRead:
-    """What an instrument read of a standard, in the unit of its channel; `u` of read minus true."""
-
-    channel: str
-    true: float
-    read: float
-    u: float
-
-
 def readable_standards(config: RigConfig) -> tuple[str, ...]:
     """Channels whose standards can be read on this rig now: somebody must be there to set them."""
     if not (config.is_virtual or at_a_terminal()):
@@ -71,7 +61,7 @@ def read_standards(
     stop: StopFlag | None = None,
     watch: Watch | None = None,
     bench: VirtualBench | None = None,
-) -> tuple[tuple[StandardRead, ...], Path]:
+) -> tuple[tuple[StandardReading, ...], Path]:
     """Have a person set gauge blocks, and read them; the muscle is vented and taken out before.
 
     Args:
@@ -95,10 +85,10 @@ def read_standards(
         record = open_record(
             rig, root, "calibrate-check", blocks, {"channels": sorted(channels)}, who
         )
-        found: list[StandardRead] = []
+        found: list[StandardReading] = []
 
         def take(channel: str, true: float, read: float, u: float) -> None:
-            found.append(StandardRead(channel, true, read, float(math.hypot(u, u_mm))))
+            found.append(StandardReading(channel, true, read, float(math.hypot(u, u_mm))))
             record.event("standard_reading", **vars(found[-1]))
 
         def method() -> None:
@@ -122,9 +112,10 @@ Take = Callable[[str, float, float, float], None]
 
 
 def _places(low: float, high: float, count: int) -> list[float]:
-    """Whole millimetres, evenly over the inner part of a range."""
+    """Lengths of blocks that a set has, evenly over the inner part of a range."""
     first, last = (low + share * (high - low) for share in INNER)
-    return [float(round(length)) for length in np.linspace(first, last, count)]
+    digits = 0 if last - first >= 2.0 * count else 1  # no two alike, none beyond the range
+    return [float(round(length, digits)) for length in np.linspace(first, last, count)]
 
 
 def _read_block(rig: Rig, record: RecordWriter, length: float, take: Take) -> None:
@@ -157,6 +148,10 @@ def _read_block(rig: Rig, record: RecordWriter, length: float, take: Take) -> No
 def _read_holders(rig: Rig, length: float, take: Take) -> None:
     """The distance of the holders where the stage says so, measured with blocks."""
     assert isinstance(rig.stage, MotorStage)
+    request(  # a block left in, or a hand, would be caught between the holders
+        rig, "clear", length, "mm",
+        f"take the block out and keep your hands off: the stage goes to {length:g} mm",
+    )  # fmt: skip
     written = rig.stage.set_value(length)
     asked = Request(
         "holders", math.nan, "mm",
