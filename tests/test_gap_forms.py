@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from gap.model import force as laws
 from gap.model import pressure as chamber
@@ -58,6 +59,43 @@ def test_a_tube_before_the_sensor_is_late_once_more_and_as_late_in_all() -> None
     assert late == pytest.approx([8e-3, 8e-3], rel=0.03)
     early = slice(62, 64)
     assert np.all(two[early] < one[early])
+
+
+@pytest.mark.parametrize("damping", [0.2, 0.7, 0.999])
+def test_a_gauge_that_swings_is_that_of_scipy_and_as_late_as_one_that_does_not(
+    damping: float,
+) -> None:
+    """Second order (Bergh and Tijdeman 1965); a closed valve leaves it one true pressure."""
+    true = course("pressure_lag", "", 0.0, {}, PULSE)
+    shown = course("pressure_lag", "", 8.0, {"damping": damping}, PULSE)
+    final = true[-1]
+    late = float(np.sum(true - shown) * 1e-3 / final)
+    assert late == pytest.approx(8e-3, rel=0.03)
+    w = 2.0 * damping / 8e-3
+
+    def swing(t: float, z: np.ndarray) -> list[float]:
+        seen = float(np.interp(t, time, true))
+        return [z[1], w * w * (seen - z[0]) - 2.0 * damping * w * z[1]]
+
+    time = np.arange(0.0, 0.4, 1e-3)
+    exact = solve_ivp(swing, (0.0, 0.399), [true[0], 0.0], t_eval=time, rtol=1e-8, max_step=5e-4)
+    assert shown == pytest.approx(exact.y[0], abs=0.004 * final)
+    if damping < 0.5:
+        assert shown.max() > 1.05 * final
+
+
+def test_a_vessel_behind_an_orifice_takes_as_much_gas_as_one_beside_the_line() -> None:
+    """In the end; and it is full at a moment, where one behind a thin tube never quite is."""
+    pulse = [(0.06, 1), (0.07, 0)]  # choked throughout: the same gas comes in
+    plain = course("dead_volume", "", 3.0, {}, pulse)
+    orifice, tube = (
+        course("dead_volume", "", 3.0, {"line_s": 0.02, **more}, pulse)
+        for more in ({"orifice": 1.0}, {})
+    )
+    assert orifice[-1] == pytest.approx(plain[-1], rel=2e-3)
+    assert orifice[80] > 1.05 * plain[80]
+    left = [np.abs(shown[150] - plain[-1]) for shown in (orifice, tube)]
+    assert left[0] < 0.2 * left[1]
 
 
 def test_a_slow_regulator_gives_less_to_the_second_of_two_pulses() -> None:

@@ -222,6 +222,18 @@ def test_critical_ratio_is_where_filling_ceases_to_be_a_straight_line(critical: 
     assert rate[k] / rate.max() == pytest.approx(psi, rel=1e-3)
 
 
+def test_the_subsonic_index_is_what_the_flow_beyond_the_ratio_falls_with() -> None:
+    """ISO 6358-1:2013: psi = (1 - s^2)^m; here m = 0.5 + 0.4 (0.5 - 0.3)."""
+    trace = filled(on(critical_ratio={"critical_ratio": 0.3, "index": 0.4}), 0.3)
+    source = 550e3 + ATM
+    ratio = (trace.pressure_kpa * 1e3 + ATM) / source
+    rate = np.gradient(trace.pressure_kpa)
+    for share in (0.5, 0.7, 0.85):
+        k = int(np.searchsorted(ratio, share))
+        psi = (1.0 - ((ratio[k] - 0.3) / 0.7) ** 2) ** 0.58
+        assert rate[k] / rate.max() == pytest.approx(psi, rel=2e-3)
+
+
 @pytest.mark.parametrize("droop", [15.0, 80.0])
 def test_droop_is_the_largest_fall_of_the_supply_while_filling(droop: float) -> None:
     effects = on(supply_droop={"droop_kpa": droop, "shown": 1.0})

@@ -44,12 +44,17 @@ _MOST_RATIO = 0.95
 
 _factor = inlined(flow.subsonic_factor)
 _outward = called(flow.outward_drive)
+_drooped = called(flow.drooped)
+_with_index = inlined(flow.with_index)
 _braid_volume = inlined(muscle.braid_volume)
 _follow = inlined(follow)
 _lag = inlined(at_pressure)
 _opening = inlined(valve.opening)
 _following = inlined(valve.following)
 _PENDING = 256
+_STATED_DROP_PA = 1e5
+_LEAST_DROP_PA = 300.0
+"""Drop over an orifice below which its flow is laminar."""
 _FOLLOW, _LEARN, _APPLY, _PUSH = 0, 1, 2, 3
 ACTS_S = 0.03
 """Seconds after a command's edge in which a valve may still move."""
@@ -105,6 +110,52 @@ def _widening(q: Any, p: float, at: float) -> float:
 
 
 @inlined
+def _fall(q: Any, followed: float, p: float, supply: float, inlet: float) -> float:
+    """How far the supply is below what it is at rest, Pa: `followed` unless a power states it."""
+    if q[stage.DROOP_POWER] == 0.0:
+        return followed
+    if inlet == 0.0:
+        return 0.0
+    source = supply + q[layout.ATMOSPHERE]
+    at_inlet = _drooped(
+        source, p + q[layout.ATMOSPHERE], q[stage.DROOP], q[layout.INLET_CRITICAL_RATIO],
+        q[stage.DROOP_POWER],
+    )  # fmt: skip
+    return float(source - at_inlet)
+
+
+@inlined
+def _swing(
+    read: float, rate: float, seen: float, span: float, late: float, damping: float
+) -> tuple[float, float]:
+    """Reading and its rate after `span` s of a second-order gauge that `late` s trails a ramp.
+
+    The exact solution for a pressure `seen` that stays: read'' = w^2 (seen - read) - 2 d w read',
+    w = 2 d / late, d below 1.
+    """
+    d = min(damping, 0.999)
+    w = 2.0 * d / late
+    swings = w * math.sqrt(1.0 - d * d)
+    left = math.exp(-d * w * span)
+    c = math.cos(swings * span)
+    s = math.sin(swings * span)
+    off = read - seen
+    after = left * (off * c + (rate + d * w * off) / swings * s)
+    return seen + after, left * (rate * c - (w * w * off + d * w * rate) / swings * s)
+
+
+@inlined
+def _line_time(q: Any, drop: float) -> float:
+    """Time in s in which a vessel behind a throttle follows, at `drop` Pa over the throttle.
+
+    Through an orifice the flow goes with the root of the drop; the time is stated at 100 kPa.
+    """
+    if q[stage.LINE_ORIFICE] == 0.0:
+        return float(q[stage.LINE_TIME])
+    return float(q[stage.LINE_TIME] * math.sqrt((abs(drop) + _LEAST_DROP_PA) / _STATED_DROP_PA))
+
+
+@inlined
 def _flows(
     q: Any, p: float, supply: float, inlet: float, outlet: float, fall: float, scale: float,
     more_in: float, more_out: float,
@@ -122,6 +173,8 @@ def _flows(
     if inlet > 0.0 and supply - p > q[layout.CLOSING]:
         above = max(supply - fall, -0.9 * q[layout.ATMOSPHERE]) + q[layout.ATMOSPHERE]
         share = _factor(absolute / above, q[layout.INLET_CRITICAL_RATIO])
+        if q[layout.SUBSONIC_INDEX] != 0.0:
+            share = _with_index(share, q[layout.SUBSONIC_INDEX])
         wider = 1.0 + q[stage.INLET_DROP] * (supply - fall - p) / FULL_PRESSURE_PA
         flow_in = scale * inlet * q[layout.INLET_CONDUCTANCE] * max(wider, 0.02) * above * share
         flow_in *= max(1.0 + more_in, 0.0)
@@ -130,9 +183,10 @@ def _flows(
         wider = max(1.0 + q[stage.OUTLET_DROP] * p / FULL_PRESSURE_PA, 0.02)
         area += outlet * q[layout.OUTLET_CONDUCTANCE] * wider * max(1.0 + more_out, 0.0)
     if area > 0.0:
-        flow_out = (
-            scale * area * _outward(absolute, q[layout.ATMOSPHERE], q[layout.OUTLET_CRITICAL_RATIO])
-        )
+        drive = _outward(absolute, q[layout.ATMOSPHERE], q[layout.OUTLET_CRITICAL_RATIO])
+        if q[layout.SUBSONIC_INDEX] != 0.0 and drive > 0.0:
+            drive = absolute * _with_index(drive / absolute, q[layout.SUBSONIC_INDEX])
+        flow_out = scale * area * drive
     if q[stage.LEAK_LAMINAR] != 0.0:
         flow_out += scale * q[stage.LEAK_LAMINAR] * laminar_drop(absolute, q[layout.ATMOSPHERE])
     return flow_in, flow_out, share
@@ -154,11 +208,13 @@ def _advance(
 ) -> None:  # fmt: skip
     """Move gas state s over `span` s.
 
-    It is (pressure, isothermal pressure, reading, fall, line, pressure at the sensor).
+    It is (pressure, isothermal pressure, reading, fall, line, pressure at the sensor, rate of the
+    reading).
     """
     left = span
     v = v0
     slope = (v1 - v0) / span
+    line_time = 1.0
     k = q[layout.EXPONENT]
     heat = GAS_CONSTANT_J_KG_K * q[layout.GAS_TEMPERATURE]
     at = q[layout.ATMOSPHERE]
@@ -177,8 +233,9 @@ def _advance(
         h = left
         # Most of a record is quiet: nothing flows, and the gas follows the volume in one step.
         if not quiet:
+            fall = _fall(q, s[3], p, supply, inlet)
             flow_in, flow_out, share = _flows(
-                q, p, supply, inlet, outlet, s[3], scale, more_in, more_out
+                q, p, supply, inlet, outlet, fall, scale, more_in, more_out
             )
             warm = 1.0
             if q[stage.HEAT_BY_MASS] > 0.0 and flow_out > 0.0:
@@ -188,18 +245,17 @@ def _advance(
             # A hose that widens takes gas as if the volume were larger by this much.
             wide = _widening(q, max(p, 0.0), at)
             rate = k * heat * (flow_in - warm * flow_out) / (v + wide) - k * (p + at) * slope / v
-            if q[stage.LINE] > 0.0:
-                rate -= q[stage.LINE] / v * (p - s[4]) / q[stage.LINE_TIME]
             # A step changes the pressure by a third of what drives the flow, at most.
             drive = 1e9
             if inlet > 0.0:
-                drive = abs(filled - s[3] - p) + 200.0
+                drive = abs(filled - fall - p) + 200.0
             if outlet > 0.0 or q[stage.LEAK] > 0.0:
                 drive = min(drive, abs(p - vented) + 200.0)
             h = min(left, max(0.3 * drive / (abs(rate) + 1.0), 2e-5))
             h = min(h, _LONGEST_SHUT_S if inlet == 0.0 and outlet == 0.0 else _LONGEST_S)
         if q[stage.LINE] > 0.0:
-            h = min(h, 0.3 * q[stage.LINE_TIME])
+            line_time = _line_time(q, p - s[4])
+            h = min(h, 0.3 * line_time)
         if q[stage.DROOP_TIME] > 0.0 and inlet > 0.0:
             h = min(h, 0.3 * q[stage.DROOP_TIME])
         v_next = v + slope * h
@@ -212,36 +268,44 @@ def _advance(
                 p1 = (p + at) * (squeezed if k == 1.0 else squeezed**k) - at
         else:
             p_try = max(p + h * rate, -0.95 * at)
+            fall = _fall(q, s[3], p_try, supply, inlet)
             in2, out2, share = _flows(
-                q, p_try, supply, inlet, outlet, s[3], scale, more_in, more_out
+                q, p_try, supply, inlet, outlet, fall, scale, more_in, more_out
             )
             out2 /= math.sqrt(warm)
             wide = _widening(q, max(p_try, 0.0), at)
             rate2 = (
                 k * heat * (in2 - warm * out2) / (v_next + wide) - k * (p_try + at) * slope / v_next
             )
-            if q[stage.LINE] > 0.0:
-                rate2 -= q[stage.LINE] / v_next * (p_try - s[4]) / q[stage.LINE_TIME]
             p1 = p + 0.5 * h * (rate + rate2)
             mass = 0.5 * h * (flow_in - flow_out + in2 - out2)
             iso = ((s[1] + at) * v + heat * mass) / v_next - at
             # Flow ends at equal pressure; no step may carry the gas beyond.
-            alone = slope == 0.0 and q[stage.LINE] == 0.0
-            if inlet > 0.0 and outlet == 0.0 and p <= filled - s[3] and alone:
-                p1 = min(p1, filled - s[3])
+            alone = slope == 0.0
+            top = filled
+            if q[stage.DROOP_POWER] == 0.0:
+                top -= s[3]
+            if inlet > 0.0 and outlet == 0.0 and p <= top and alone:
+                p1 = min(p1, top)
             if outlet > 0.0 and inlet == 0.0 and alone:
                 if p > vented or p == 0.0:
                     p1 = max(p1, vented if p > vented else 0.0)
                 elif p < 0.0:
                     p1 = min(p1, 0.0)
-        if q[stage.LINE] > 0.0:
-            s[4] += (p - s[4]) * (1.0 - math.exp(-h / q[stage.LINE_TIME]))
+        if q[stage.LINE] > 0.0:  # exactly what the one gives the other takes
+            larger = 1.0 + q[stage.LINE] / v_next
+            gone = (p1 - s[4]) * (1.0 - math.exp(-h * larger / line_time)) / larger
+            s[4] += gone
+            p1 -= (larger - 1.0) * gone
+            iso -= (larger - 1.0) * gone
         if q[stage.HEAT_RATE] > 0.0:
             pace = q[stage.HEAT_RATE]
             if q[stage.HEAT_BY_MASS] > 0.0:
                 pace *= _HEAT_AT_PA / max(iso + at, _LEAST_SHARE * at)
             p1 += (iso - p1) * (1.0 - math.exp(-h * pace))
         target = q[stage.DROOP] * share if inlet > 0.0 else 0.0
+        if q[stage.DROOP_POWER] > 0.0:
+            target = _fall(q, 0.0, p1, supply, inlet)
         droop_time = q[stage.DROOP_TIME]
         if target < s[3] and q[stage.DROOP_BACK] > 0.0:
             droop_time = q[stage.DROOP_BACK]
@@ -252,11 +316,14 @@ def _advance(
         if q[stage.LAG] > 0.0:
             seen = 0.5 * (p + p1)
             late = _lag(q[stage.LAG], q[stage.LAG_WITH_PRESSURE], seen + at)
-            if q[stage.LAG_BEFORE] > 0.0:
+            if q[stage.LAG_DAMPING] > 0.0:
+                s[2], s[6] = _swing(s[2], s[6], seen, h, late, q[stage.LAG_DAMPING])
+            elif q[stage.LAG_BEFORE] > 0.0:
                 before = s[5]
                 s[5] += (seen - s[5]) * (1.0 - math.exp(-h / q[stage.LAG_BEFORE]))
                 seen = 0.5 * (before + s[5])
-            s[2] += (seen - s[2]) * (1.0 - math.exp(-h / late))
+            if q[stage.LAG_DAMPING] == 0.0:
+                s[2] += (seen - s[2]) * (1.0 - math.exp(-h / late))
         else:
             s[2] = p1
         s[0] = max(p1, -0.99 * at)
@@ -438,7 +505,7 @@ def _build(sources: int) -> Callable[..., None]:
         opened = np.zeros(2)
         spool = np.zeros(2)
         command = np.zeros(2)
-        s = np.zeros(6)
+        s = np.zeros(7)
         leak = q[stage.LEAK]
         for t in range(len(first) - 1):
             if len(q) > stage.SIZE:
@@ -565,35 +632,45 @@ def perturbed(plain: Any, changed: Any, path: Any, *arrays: Any) -> Any:
     return out
 
 
-def behind_lag(first: Any, time: Any, path: Any, lag_s: float, power: float, at: float) -> Any:
-    """What a first-order lag shows of a path that is straight between its nodes, trial by trial.
+def behind_lag(
+    first: Any, time: Any, path: Any, lag_s: float, power: float, at: float, damping: float = 0.0
+) -> Any:
+    """What a lag shows of a path that is straight between its nodes, trial by trial.
 
     Args:
         power: of the absolute pressure, which the lag falls with.
         at: pressure of the atmosphere, Pa.
+        damping: of a second-order lag; 0 for one of first order.
     """
     out = np.empty(len(time))
-    _behind_lag(first, time, path, lag_s, power, at, out)
+    _behind_lag(first, time, path, lag_s, power, at, damping, out)
     return out
 
 
 def _build_lag(sources: int) -> Callable[..., None]:
     @entry_point(
-        "void(int64[::1], float64[::1], float64[::1], float64, float64, float64, float64[::1])"
+        "void(int64[::1], float64[::1], float64[::1], float64, float64, float64, float64, "
+        "float64[::1])"
     )
     def lag(
-        first: Any, time: Any, path: Any, lag_s: float, power: float, at: float, out: Any
-    ) -> None:
+        first: Any, time: Any, path: Any, lag_s: float, power: float, at: float, damping: float,
+        out: Any,
+    ) -> None:  # fmt: skip
         if sources < 0:
             return
         for t in range(len(first) - 1):
+            rate = 0.0
             for i in range(first[t], first[t + 1]):
                 if i == first[t]:
                     out[i] = path[i]
                     continue
                 h = time[i] - time[i - 1]
-                late = _lag(lag_s, power, 0.5 * (path[i - 1] + path[i]) + at)
-                out[i] = _follow(out[i - 1], path[i - 1], path[i], h, late)
+                middle = 0.5 * (path[i - 1] + path[i])
+                late = _lag(lag_s, power, middle + at)
+                if damping > 0.0:
+                    out[i], rate = _swing(out[i - 1], rate, middle, h, late, damping)
+                else:
+                    out[i] = _follow(out[i - 1], path[i - 1], path[i], h, late)
 
     return lag
 

@@ -305,9 +305,10 @@ class Model:
         assert self.nominal is not None
         q, plain = self._parameters(c, active), self._parameters(c, [])
         zero, gain = float(q[pressure_stage.ZERO]), float(q[pressure_stage.GAIN])
+        damping = float(q[pressure_stage.LAG_DAMPING])
         lags = (
-            (float(q[pressure_stage.LAG]), float(q[pressure_stage.LAG_WITH_PRESSURE])),
-            (float(q[pressure_stage.LAG_BEFORE]), 0.0),
+            (float(q[pressure_stage.LAG]), float(q[pressure_stage.LAG_WITH_PRESSURE]), damping),
+            (float(q[pressure_stage.LAG_BEFORE]), 0.0, 0.0),
         )
         q[[getattr(pressure_stage, of) for of in ("ZERO", "GAIN", "LAG", "LAG_BEFORE")]] = 0.0
         path = self.nominal.pressure_from(self.nominal.shift(active), zero, gain)
@@ -320,10 +321,10 @@ class Model:
                 (plain, stated), (q, length), path, points.first, points.time_s,
                 grid.supply, grid.first_edge, grid.edge_s, grid.edge_to, grid.edge_of,
             )  # fmt: skip
-        for lag_s, power in lags:
+        for lag_s, power, swings in lags:
             if lag_s > 0.0:
                 path = chamber.behind_lag(
-                    points.first, points.time_s, path, lag_s, power, c.atmosphere_pa
+                    points.first, points.time_s, path, lag_s, power, c.atmosphere_pa, swings
                 )
         return laws.gauge_shows(path * (1.0 + gain) + zero, active, context)
 

@@ -330,10 +330,21 @@ def with_second_shape(
     share = min(config.second_shape_of_gap * gap, config.second_shape_of_left * left)
     if linear.gain[at[0]] < max(config.second_shape_gain, share):
         return None
-    second = problem.candidates[at[0]]
-    if second.search.either in fit.candidates[-1].shape:
-        either = second.search.either
-        second = replace(second, shape={**second.shape, either: fit.candidates[-1].shape[either]})
-    fitted = problem.fit([*fit.candidates, second], [*fit.amounts, linear.start(at[0])], fit)
+    # The first step of a form says little of what it leaves once its numbers are fitted.
+    forms: dict[frozenset[str], int] = {}
+    for j in at:
+        forms.setdefault(frozenset(problem.candidates[j].shape), j)
+    fitted: FitResult | None = None
+    for j in list(forms.values())[: config.second_shapes]:
+        second = problem.candidates[j]
+        if second.search.either in fit.candidates[-1].shape:
+            either = second.search.either
+            shape = {**second.shape, either: fit.candidates[-1].shape[either]}
+            second = replace(second, shape=shape)
+        start = [*fit.amounts, linear.start(j)]
+        other = fit_shapes(problem, problem.fit([*fit.candidates, second], start, fit))
+        if fitted is None or other.cost < fitted.cost:
+            fitted = other
+    assert fitted is not None
     enough = fitted.cost < hypothesis.cost - config.second_shape_fitted
     return Hypothesis(hypothesis.keys, fitted) if enough else None

@@ -69,6 +69,8 @@ class SelectionConfig:
     """The same as a share of the gap, or of what is left, whichever is less."""
     second_shape_fitted: float = 15.0
     """Least gain of the second shape once it is fitted."""
+    second_shapes: int = 2
+    """Forms that are fitted as the second shape, the most promising first."""
 
     curve_of_gap: float = 0.1
     curve_of_left: float = 0.5

@@ -22,9 +22,18 @@ LINEAR_BELOW = 1e-5
 The ellipse meets zero with infinite slope, which no fixed step can follow. At 650 kPa this
 touches the last 6.5 Pa only.
 """
+MOST_DROOP = 0.45
+"""Share of the supply that a droop takes at most."""
+_BISECTIONS = 24
+"""Halvings of at most 45 % of the supply: to a few hundredths of a pascal."""
+
+MOST_DROOP = 0.45
+"""Share of the supply that a droop takes at most."""
+_BISECTIONS = 24
+"""Halvings of at most 45 % of the supply: to a few hundredths of a pascal."""
 
 
-# The two functions below are also compiled into the kernel: scalar floats, no validation.
+# The functions below are also compiled into the kernel: scalar floats, no validation.
 def subsonic_factor(ratio: float, critical_ratio: float) -> float:
     """psi: 1 when choked, the quarter ellipse of ISO 6358 when not, 0 for a reversed ratio."""
     if ratio <= critical_ratio:
@@ -41,11 +50,58 @@ def subsonic_factor(ratio: float, critical_ratio: float) -> float:
     return math.sqrt(share * (2.0 - share))
 
 
+def with_index(psi: float, more: float) -> float:
+    """Psi with a subsonic index of 0.5 + `more` (0.2 to 1) where `psi` is that with 0.5.
+
+    ISO 6358-1:2013: psi = (1 - s^2)^m, s = (ratio - b) / (1 - b); m = 0.5 is the ellipse.
+    """
+    return float(psi ** min(max(1.0 + 2.0 * more, 0.4), 2.0)) if psi < 1.0 else 1.0
+
+
 def outward_drive(absolute: float, outside: float, critical_ratio: float) -> float:
     """Upstream pressure times psi of a way to the outside, Pa; below zero where air comes in."""
     if absolute >= outside:
         return absolute * subsonic_factor(outside / absolute, critical_ratio)
     return -outside * subsonic_factor(absolute / outside, critical_ratio)
+
+
+def drooped(
+    supply: float, downstream: float, droop: float, critical_ratio: float, power: float
+) -> float:
+    """Absolute pressure P1 in Pa at the inlet of a source that falls with the flow it gives.
+
+        P1 = P_s - droop (q / q_choked)^power,    q_choked: the flow choked at P_s - droop
+
+    `power` 1 is the droop line of a regulator's flow characteristic (ISO 6953-2), 2 a line or
+    fitting in turbulent flow (Darcy 1857, Weisbach 1845), below 1 a regulator that gives way at
+    once. With the ellipse of ISO 6358 power 1 is a quadratic in P1. The result is P_s - droop when
+    choked and P_s without flow. A droop beyond 45 % of the supply counts as that much.
+    """
+    if downstream >= supply:
+        return supply
+    fall = min(droop, MOST_DROOP * supply)
+    choked = supply - fall
+    if downstream <= critical_ratio * choked:
+        return choked
+    if power != 1.0:
+        # The line P_s - P1 falls with P1 and the flow grows: one root between.
+        low = max(choked, downstream)
+        high = supply
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            share = subsonic_factor(downstream / middle, critical_ratio) * middle / choked
+            if supply - middle > fall * share**power:
+                low = middle
+            else:
+                high = middle
+        return 0.5 * (low + high)
+    slope = (fall / choked) ** 2
+    bend = slope / (1.0 - critical_ratio) ** 2
+    a = 1.0 - slope + bend * critical_ratio * critical_ratio
+    b = supply + bend * downstream * critical_ratio
+    c = supply * supply + bend * downstream * downstream
+    # The smaller root, in the form that does not cancel.
+    return c / (b + math.sqrt(max(0.0, b * b - a * c)))
 
 
 def subsonic_factors(

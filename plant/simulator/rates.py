@@ -24,6 +24,7 @@ LEAST_MASS_KG = 1e-3
 _factor = inlined(flow.subsonic_factor)
 _factor_slope = inlined(flow.subsonic_slope)
 _outward = called(flow.outward_drive)
+_with_index = inlined(flow.with_index)
 _outward_slope = called(flow.outward_slope)
 _force = inlined(muscle.braid_force)
 _force_slope = inlined(muscle.braid_force_slope)
@@ -164,14 +165,15 @@ def flows(state: Slots, params: Slots, absolute: float) -> tuple[float, float]:
     if inlet > 0.0:
         supply = inlet_pressure(state, params, absolute)
         psi = _factor(absolute / supply, params[at.INLET_CRITICAL_RATIO])
+        if params[at.SUBSONIC_INDEX] != 0.0:
+            psi = _with_index(psi, params[at.SUBSONIC_INDEX])
         flow_in = scale * inlet * params[at.INLET_CONDUCTANCE] * supply * psi
     conductance = outward(state, params)
     if conductance > 0.0:
-        flow_out = (
-            scale
-            * conductance
-            * _outward(absolute, params[at.ATMOSPHERE], params[at.OUTLET_CRITICAL_RATIO])
-        )
+        drive = _outward(absolute, params[at.ATMOSPHERE], params[at.OUTLET_CRITICAL_RATIO])
+        if params[at.SUBSONIC_INDEX] != 0.0 and drive > 0.0:
+            drive = absolute * _with_index(drive / absolute, params[at.SUBSONIC_INDEX])
+        flow_out = scale * conductance * drive
     return flow_in, flow_out
 
 

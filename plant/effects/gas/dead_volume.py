@@ -30,6 +30,7 @@ def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
     elif "line_s" in shape:
         params[stage.LINE] += max(amount, 0.0) * 1e-6
         params[stage.LINE_TIME] = shape["line_s"]
+        params[stage.LINE_ORIFICE] = shape.get("orifice", 0.0)
     else:
         params[layout.DEAD_VOLUME] += amount * 1e-6
 
@@ -58,7 +59,15 @@ DEAD_VOLUME = Effect(
         step=0.1,
         sign=1,
         blocks=("pressure",),
-        shapes=({}, {"elastic": 1.0}, {"soft_kpa": 180.0}, {"line_s": 0.01}, {"line_s": 0.06}),
+        # A vessel beside the line, behind a thin tube or behind a hole (tee, fitting, stop cock).
+        shapes=(
+            {},
+            {"elastic": 1.0},
+            {"soft_kpa": 180.0},
+            {"line_s": 0.01},
+            {"line_s": 0.06},
+            {"line_s": 0.03, "orifice": 1.0},
+        ),
         free={"line_s": (0.001, 0.3), "soft_kpa": (20.0, 1500.0)},
     ),
 )

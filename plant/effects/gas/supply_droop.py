@@ -2,50 +2,33 @@
 
 from __future__ import annotations
 
-import math
-
 from plant.constants import PlantConstants
 from plant.effects import pressure_stage as stage
 from plant.effects.arguments import Params, Shape, Values
-from plant.effects.effect import Effect, InDiagnosis, InPlant, InSensors, Parameter, Search
+from plant.effects.effect import (
+    Effect,
+    InDiagnosis,
+    InPlant,
+    InSensors,
+    Parameter,
+    Search,
+    same_numbers,
+)
+from plant.physics.flow import drooped
 from plant.physics.layout import INLET_CRITICAL_RATIO
 
 DROOP = 62  # Pa that the supply falls at choked flow
-_MOST = 0.45
-"""Share of the supply that a droop takes at most."""
-
-
-def drooped(supply: float, downstream: float, droop: float, critical_ratio: float) -> float:
-    """Absolute pressure at the inlet of a source that falls in proportion to the flow it gives.
-
-        P1 = P_s - droop q / q_choked,    q_choked: the flow choked at P_s - droop
-
-    the droop line of a regulator's flow characteristic (ISO 6953-2). With the ellipse of ISO 6358
-    this is a quadratic in P1; the result is P_s - droop when choked and P_s without flow. A droop
-    beyond 45 % of the supply counts as that much.
-    """
-    if downstream >= supply:
-        return supply
-    fall = min(droop, _MOST * supply)
-    choked = supply - fall
-    if downstream <= critical_ratio * choked:
-        return choked
-    slope = (fall / choked) ** 2
-    bend = slope / (1.0 - critical_ratio) ** 2
-    a = 1.0 - slope + bend * critical_ratio * critical_ratio
-    b = supply + bend * downstream * critical_ratio
-    c = supply * supply + bend * downstream * downstream
-    # The smaller root, in the form that does not cancel.
-    return c / (b + math.sqrt(max(0.0, b * b - a * c)))
+POWER = 71  # of the flow that the fall grows with
 
 
 def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
-    return {DROOP: float(values["droop_kpa"]) * 1e3}
+    return {DROOP: float(values["droop_kpa"]) * 1e3, POWER: float(values["power"])}
 
 
 def _upstream(supply: float, params: Params, absolute: float) -> float:
     if params[DROOP] > 0.0:
-        return drooped(supply, absolute, params[DROOP], params[INLET_CRITICAL_RATIO])
+        critical = params[INLET_CRITICAL_RATIO]
+        return drooped(supply, absolute, params[DROOP], critical, params[POWER])
     return supply
 
 
@@ -57,6 +40,12 @@ def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
     params[stage.DROOP] += amount * 1e3
     params[stage.DROOP_TIME] = shape.get("tau_s", 0.0)
     params[stage.DROOP_BACK] = shape.get("back_s", 0.0)
+    params[stage.DROOP_POWER] = shape.get("power", 0.0)
+
+
+def _stated(shape: Shape, values: Values, c: PlantConstants) -> Shape:
+    power = float(values["power"])
+    return {"power": power} if power != 1.0 else {}
 
 
 SUPPLY_DROOP = Effect(
@@ -67,18 +56,19 @@ SUPPLY_DROOP = Effect(
     (
         Parameter("droop_kpa", "kPa", "largest fall in the data", 0, 300),
         Parameter("shown", "", "share of the fall that the supply channel shows", 0, 1, 0.0),
+        Parameter("power", "", "power of the flow that the fall grows with", 0.2, 4, 1.0),
     ),
     "venting; all settled points",
     ("flow_area", "critical_ratio", "leak"),
     "a pressure sensor right at the inlet, or fills at half the supply pressure",
-    equation="P_1 = P_s - droop q / q_choked at the inlet",
-    source="ISO 6953-2 (flow characteristic of a regulator)",
+    equation="P_1 = P_s - droop (q / q_choked)^power at the inlet",
+    source="ISO 6953-2 (flow characteristic of a regulator); Darcy-Weisbach (power 2: a thin line)",
     standard="a second pressure gauge at the inlet",
     constants=("supply_kpa", "inlet_conductance_m3_s_pa"),
     stands_for=("supply_kpa",),
     plant=InPlant(slots=_slots, upstream=_upstream),
     sensors=InSensors(supply=_shown),
-    diagnosis=InDiagnosis(gas=_gas, largest_fall=True),
+    diagnosis=InDiagnosis(gas=_gas, largest_fall=True, stated=_stated),
     search=Search(
         step=5.0,
         sign=1,
@@ -91,8 +81,12 @@ SUPPLY_DROOP = Effect(
             {"tau_s": 2.5},
             # A regulator that gives way at once and recovers slowly.
             {"tau_s": 0.03, "back_s": 0.3},
+            # A line or fitting, and a regulator that gives way before much flows.
+            {"power": 2.0},
+            {"power": 0.5},
         ),
-        free={"tau_s": (0.005, 6.0), "back_s": (0.005, 6.0)},
+        free={"tau_s": (0.005, 6.0), "back_s": (0.005, 6.0), "power": (0.2, 4.0)},
+        as_plant=same_numbers(power="power"),
         # The headline is the largest fall in the data, the amount that at choked flow.
         bounded=False,
         one_shape=True,

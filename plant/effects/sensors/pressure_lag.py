@@ -52,6 +52,8 @@ def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
     params[stage.LAG_BEFORE] += before * max(amount, 0.0) * 1e-3
     if "with_pressure" in shape:
         params[stage.LAG_WITH_PRESSURE] = shape["with_pressure"]
+    # The gas in a tube and the volume before the sensor swing: second order, late by as much.
+    params[stage.LAG_DAMPING] = shape.get("damping", 0.0)
 
 
 PRESSURE_LAG = Effect(
@@ -75,8 +77,8 @@ PRESSURE_LAG = Effect(
         step=2.0,
         sign=1,
         blocks=("pressure", "force", "load"),
-        shapes=({}, {"before": 0.3}, {"with_pressure": 0.5}),
-        free={"before": (0.02, 0.5), "with_pressure": (0.05, 2.0)},
+        shapes=({}, {"before": 0.3}, {"with_pressure": 0.5}, {"damping": 0.5}),
+        free={"before": (0.02, 0.5), "with_pressure": (0.05, 2.0), "damping": (0.1, 1.0)},
         as_plant=same_numbers(with_pressure="with_pressure"),
     ),
 )
