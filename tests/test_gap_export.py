@@ -158,6 +158,10 @@ def test_a_hung_load_has_settled_points_and_no_force_of_the_balance(tmp_path: Pa
     assert list(trial.samples["direction"]) == ["up", "up", "down", "down"]
     assert trial.samples["pressure_kpa"].tolist() == pytest.approx([150, 300, 300, 150], abs=3.0)
     assert trial.samples["length_mm"].diff().iloc[1] < -1.0
+    waited = [event["waited_s"] for event in run.events if event.get("kind") == "point"]
+    taken = trial.samples["taken_s"]
+    assert taken.iloc[0] == pytest.approx(waited[0])
+    assert np.all(np.diff(taken) >= np.array(waited[1:]) - 1e-6)
 
 
 def test_a_run_without_a_whole_trial_is_refused_by_name(tmp_path: Path) -> None:

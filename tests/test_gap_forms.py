@@ -154,6 +154,34 @@ def test_a_load_held_before_the_record_began_has_crept_already() -> None:
     assert settled / force == pytest.approx(np.full(50, -0.06), rel=1e-4)
 
 
+def test_a_settled_point_has_crept_since_the_point_before_it_was_read() -> None:
+    """The Kelvin element followed in small steps; the order of a table's rows says nothing."""
+    height = 1e5 * np.array([2.0, 4.0, 5.0, 3.0])
+    taken = np.array([2.0, 9.0, 40.0, 43.0])
+    tau, loss = 8.0, 0.05 / -np.expm1(-60.0 / 8.0)
+
+    def crept(rows: np.ndarray, when: np.ndarray) -> np.ndarray:
+        points = still(
+            np.full(4, 60.0), pressure=height[rows], taken=when[rows], settled=np.full(4, True)
+        )
+        effects = [("creep", "", 5.0, {"tau_s": tau})]
+        context = Context(C, np.zeros(1))
+        return laws.muscle_force(points, effects, context) - laws.muscle_force(points, [], context)
+
+    every = np.arange(4)
+    force = laws.muscle_force(still(np.full(4, 60.0), pressure=height), [], Context(C, np.zeros(1)))
+    expected, element, now = [], 0.0, 0.0
+    for pull, at in zip(force, taken, strict=True):
+        while now < at - 1e-9:
+            element += (pull - element) * 1e-3 / tau
+            now += 1e-3
+        expected.append(-loss * element)
+    assert crept(every, taken) == pytest.approx(np.array(expected), rel=1e-3)
+    mixed = np.array([2, 0, 3, 1])
+    assert crept(mixed, taken) == pytest.approx(np.array(expected)[mixed], rel=1e-3)
+    assert crept(every, np.full(4, np.nan)) == pytest.approx(np.zeros(4))
+
+
 def test_a_load_that_still_creeps_where_it_is_called_settled_rubs_less_after_a_short_step() -> None:
     """Coming down: the friction is whole at the first point, and grows with the last step."""
     length = 60.0 + np.cumsum([0.0, 0.2, 1.5, 6.0])

@@ -107,6 +107,30 @@ def test_bad_data_is_refused_by_file_row_and_column(case: str, tmp_path: Path) -
     assert ".csv" in str(caught.value)
 
 
+TABLE = "trial,pressure_kpa,force_n,taken_s\na,100,5,2\na,200,15,{}\na,300,25,30\n"
+
+
+@pytest.mark.parametrize(
+    ("second", "where"), [("30", "row 4, column taken_s"), ("-1", "row 3, column taken_s")]
+)
+def test_when_a_settled_point_was_read_is_one_time_from_0_on(
+    second: str, where: str, tmp_path: Path
+) -> None:
+    trials = "trial,slot,held_length_mm\na,s,60\n"
+    with pytest.raises(GapError, match=where):
+        read_dataset(folder(tmp_path, trials, TABLE.format(second)))
+
+
+def test_a_point_without_its_time_leaves_the_table_without_time(tmp_path: Path) -> None:
+    trials = "trial,slot,held_length_mm\na,s,60\n"
+    whole = read_dataset(folder(tmp_path, trials, TABLE.format(7)))
+    assert whole.trials[0].settled
+    assert whole.trials[0].taken_s.tolist() == [2.0, 7.0, 30.0]
+    part = tmp_path / "part"
+    part.mkdir()
+    assert not len(read_dataset(folder(part, trials, TABLE.format(""))).trials[0].taken_s)
+
+
 def test_bad_bench_names_the_key(tmp_path: Path) -> None:
     with pytest.raises(GapError, match="supply_psi"):
         read_dataset(folder(tmp_path, bench="supply_psi = 80\n"))

@@ -36,6 +36,7 @@ def still(length_mm: np.ndarray, **fields: np.ndarray) -> Points:
         "settled": np.zeros(n, dtype=bool),
         "temperature": np.full(n, 21.0),
         "mass": np.ones(n), "reading": zero, "direction": zero,
+        "taken": np.full(n, np.nan),
         "clipped": np.zeros(n, dtype=bool),
     }  # fmt: skip
     return Points(**{**given, **fields})

@@ -36,7 +36,7 @@ TRIAL_NUMBERS = (
     "order", "held_length_mm", "load_kg", "temperature_c", "start_s",
     "tare_length_mm",
 )  # fmt: skip
-SAMPLE_NUMBERS = ("time_s", *COMMANDS, *CHANNELS)
+SAMPLE_NUMBERS = ("time_s", *COMMANDS, *CHANNELS, "taken_s")
 MOST_UNCERTAIN = 1000.0
 ORDER_UNKNOWN = (
     "the order of the trials is not known (trials.csv, column order): no effect that depends on it "
@@ -251,7 +251,24 @@ def _trial(
         channels=channels,
         direction=direction[rows],
         tare_length_mm=float(facts["tare_length_mm"][row]),
+        taken_s=_taken(samples, rows, columns) if settled else np.empty(0),
     )
+
+
+def _taken(samples: Table, rows: npt.NDArray[np.int64], columns: dict[str, Array]) -> Array:
+    """When the settled points of one trial were read; empty where it is not stated for all."""
+    if "taken_s" not in columns:
+        return np.empty(0)
+    taken_s = columns["taken_s"][rows]
+    if not np.isfinite(taken_s).all():
+        return np.empty(0)
+    twice = np.flatnonzero(np.diff(np.sort(taken_s)) == 0.0)
+    if len(twice):
+        at = np.sort(taken_s)[int(twice[0])]
+        row = int(rows[np.flatnonzero(taken_s == at)[1]])
+        what = f"{at:g} s appears a second time in this trial"
+        raise samples.error(row, "taken_s", what, "one row for one trial and time")
+    return taken_s
 
 
 def _times(

@@ -127,8 +127,10 @@ def _settled_points(run: Run) -> dict[Any, list[dict[str, Any]]]:
 
 
 def _settled_samples(reducer: PointReducer, points: list[dict[str, Any]]) -> pd.DataFrame:
-    """One row per settled point, its means, without time."""
+    """One row per settled point, its means, and when it was read."""
     rows = []
+    # The muscle came to the first point as long before it as the test waited there.
+    begun_s = points[0]["t_ns"] * 1e-9 - float(points[0].get("waited_s", np.nan))
     for point in points:
         reduced = reducer.row(point)
         rows.append(
@@ -136,6 +138,7 @@ def _settled_samples(reducer: PointReducer, points: list[dict[str, Any]]) -> pd.
                 **{name: reduced[name] for name in ("pressure_kpa", "force_n", "length_mm")},
                 "temperature_c": point.get("temperature_c", np.nan),
                 "direction": reduced["direction"],
+                "taken_s": point["t_ns"] * 1e-9 - begun_s,
             }
         )
     return pd.DataFrame(rows).dropna(axis="columns", how="all")

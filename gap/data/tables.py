@@ -30,6 +30,7 @@ _LIMITS = {
     "temperature_c": (-100.0, 600.0),
     "load_kg": (0.0, 1000.0),
     "time_s": (-1e9, 1e9),
+    "taken_s": (0.0, 1e7),
     "start_s": (-1e11, 1e11),
     "order": (-1e9, 1e9),
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -54,6 +54,8 @@ class Trial:
         tare_length_mm: where the muscle was held, vented, when the force was last set to zero.
         settled: a table of settled points, without time.
         direction: for settled points +1 up, -1 down, 0 unknown, one a row, shape (rows,).
+        taken_s: when each settled point was read, s from the moment the muscle was brought to the
+            first one, shape (rows,); empty or NaN where nobody stated it.
     """
 
     name: str
@@ -70,6 +72,7 @@ class Trial:
     channels: Mapping[str, Channel]
     direction: npt.NDArray[np.int64]
     tare_length_mm: float = float("nan")
+    taken_s: Array = field(default_factory=lambda: np.empty(0))
 
     def __contains__(self, channel: str) -> bool:
         return channel in self.channels

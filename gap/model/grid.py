@@ -184,6 +184,7 @@ class _Piece:
     mass: float
     reading: Array
     direction: Array
+    taken: Array
     extra: Array
     settled: bool
     doubt: Array
@@ -266,7 +267,7 @@ def _kept(piece: _Piece, keep: npt.NDArray[np.bool_]) -> _Piece:
 
 _ARRAYS = (
     "time_s", "weight", "pressure", "pressure_slope", "path", "length", "rate", "rate_sd",
-    "acceleration", "temperature", "reading", "direction", "doubt", "floor", "clipped",
+    "acceleration", "temperature", "reading", "direction", "taken", "doubt", "floor", "clipped",
     "unfollowed",
 )  # fmt: skip
 
@@ -292,6 +293,7 @@ def _piece(trial: Trial, signal: Signal, output: Channel, scale: float, data: Da
         signal.temperature_at(time_s),
         output.value[inside] * scale,
         signal.direction_at(time_s),
+        signal.taken_at(time_s),
         _stiffness(signal, time_s, data)
         * (signal.length_doubt_at(time_s) + _hidden_swing(signal, time_s, data)),
         _FORCE_FLOOR_N
@@ -309,11 +311,11 @@ def _piece(trial: Trial, signal: Signal, output: Channel, scale: float, data: Da
         weight = count
     (
         t, p, slope, path, length, rate, rate_sd, acceleration, temperature, reading, direction,
-        doubt, floor, clipped, unfollowed,
+        taken, doubt, floor, clipped, unfollowed,
     ) = columns  # fmt: skip
     return _Piece(
         t, weight, p, slope, path, length, rate, rate_sd, acceleration, signal.held, temperature,
-        np.nan, reading, direction, np.empty(0), trial.settled, doubt, floor,
+        np.nan, reading, direction, taken, np.empty(0), trial.settled, doubt, floor,
         clipped > _CLIPPED_SHARE, unfollowed > _UNFOLLOWED_SHARE,
     )  # fmt: skip
 
@@ -406,8 +408,9 @@ def _chamber(trial: Trial, signal: Signal, marks: Array, data: DataSet) -> _Piec
     floor = np.where(clipped > _CLIPPED_SHARE, CLIPPED_KPA, floor)
     return _Piece(
         t, count, p, zero, p, length, signal.rate_at(t), signal.rate_sd_at(t),
-        signal.acceleration_at(t), signal.held, signal.temperature_at(t), np.nan, p, zero, feed,
-        False, doubt, floor, clipped > _CLIPPED_SHARE, np.zeros(len(t), dtype=bool), adrift=adrift,
+        signal.acceleration_at(t), signal.held, signal.temperature_at(t), np.nan, p, zero,
+        np.full(len(t), np.nan), feed, False, doubt, floor, clipped > _CLIPPED_SHARE,
+        np.zeros(len(t), dtype=bool), adrift=adrift,
     )  # fmt: skip
 
 

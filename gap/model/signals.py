@@ -340,6 +340,12 @@ class Signal:
             return np.zeros(len(time_s))
         return self.trial.direction[np.round(time_s).astype(np.int64)].astype(np.float64)
 
+    def taken_at(self, time_s: Array) -> Array:
+        """When a settled point was read, s; NaN where unknown, or where there is a time axis."""
+        if not self.trial.settled or not len(self.trial.taken_s):
+            return np.full(len(time_s), np.nan)
+        return self.trial.taken_s[np.round(time_s).astype(np.int64)]
+
     def free_of_stops(self, time_s: Array) -> Mask:
         """Where the load hangs freely, away from both stops and a moment after leaving them.
 

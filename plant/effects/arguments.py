@@ -39,6 +39,8 @@ class Points:
         held: whether the length is the one written down, not one that was read.
         settled: whether the trial is a table of settled points, whose `time_s` counts its rows.
         reading: measured output: force in N, pressure in Pa or length in m.
+        taken: when a settled point was read, s from when the muscle was brought to the first one of
+            its trial; NaN where unknown and of trials with time.
         clipped: whether the pressure stands at the lower end of what its gauge can show: no more is
             known of it than that it is not above.
     """
@@ -62,6 +64,7 @@ class Points:
     mass: Floats
     reading: Floats
     direction: Floats
+    taken: Floats
     clipped: npt.NDArray[np.bool_]
 
     @cached_property

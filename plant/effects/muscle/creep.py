@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from plant.constants import PlantConstants
@@ -69,14 +71,29 @@ def _force(
 
     slow = np.zeros(len(p))
     tau = shape["tau_s"]
-    if np.all(np.diff(points.first) <= 1) or not len(p):
+    if not len(p) or (np.all(np.diff(points.first) <= 1) and np.isnan(points.taken).all()):
         return slow
     paths.lag(points.first, points.time_s, np.ascontiguousarray(base), tau, slow)
     if "settled" not in shape:
         # Fresh at the first sample; else what pulls there has done so for long.
         slow -= base[np.minimum(points.first[:-1], len(base) - 1)][points.trial]
-    # A table of settled points holds no time: its rows are not seconds.
-    return np.where(points.settled, 0.0, -gain(0.01, np.array([tau])) * slow)
+    # The rows of a table are not seconds. It shows creep where it states when it was read.
+    slow[points.settled] = 0.0
+    _in_tables(points, base, tau, "settled" not in shape, slow)
+    return np.asarray(-gain(0.01, np.array([tau])) * slow)
+
+
+def _in_tables(points: Points, base: Array, tau: float, fresh: bool, slow: Array) -> None:
+    """What has crept at settled points, each taken to pull from the point before it was read on."""
+    for begin, end in pairwise(points.first):
+        if begin == end or np.isnan(points.taken[begin]):
+            continue
+        order = begin + np.argsort(points.taken[begin:end])
+        crept, last = (0.0 if fresh else base[order[0]]), 0.0
+        for i in order:
+            left = np.exp(-max(points.taken[i] - last, 0.0) / tau)
+            crept = base[i] + (crept - base[i]) * left
+            slow[i], last = crept, points.taken[i]
 
 
 CREEP = Effect(
