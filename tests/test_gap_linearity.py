@@ -76,6 +76,9 @@ def test_a_gauge_is_straightened_as_it_bends(percent: float, shape: Shape) -> No
     assume(rises(laws.gauge_shows(fine, bent, CONTEXT), fine))
     shown = laws.gauge_shows(p, bent, CONTEXT)
     assert laws.gauge_straightened(shown, bent, CONTEXT) == pytest.approx(p, abs=100.0)
+    # Very many readings are straightened between nodes.
+    many = laws.gauge_straightened(np.tile(shown, 60), bent, CONTEXT)
+    assert many == pytest.approx(np.tile(p, 60), abs=100.0)
     assert shown[-1] == pytest.approx(600e3 * (1.0 + percent / 100.0))
 
 

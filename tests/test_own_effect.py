@@ -101,12 +101,12 @@ def test_what_does_not_fit_the_catalogue_is_refused(monkeypatch: pytest.MonkeyPa
         together(own, [push, push])
     from dataclasses import replace
 
-    with pytest.raises(PlantError, match="share slot 73"):
+    with pytest.raises(PlantError, match="share slot 75"):
         together(own, [push, replace(push, id="second")])
     with pytest.raises(PlantError, match="mistaken for 'nothing', unknown"):
         together(own, [replace(push, mistaken_for=("nothing",))])
     names["_slots"].__globals__["PER_PA"] = 41
-    with pytest.raises(PlantError, match=r"uses slots \[41\]; allowed 73 to 95"):
+    with pytest.raises(PlantError, match=r"uses slots \[41\]; allowed 75 to 95"):
         brought(monkeypatch, push)
 
 

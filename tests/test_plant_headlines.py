@@ -222,6 +222,22 @@ def test_critical_ratio_is_where_filling_ceases_to_be_a_straight_line(critical: 
     assert rate[k] / rate.max() == pytest.approx(psi, rel=1e-3)
 
 
+def test_a_conductance_may_change_less_the_nearer_the_pressures_are() -> None:
+    """Choked venting: d ln P / dt goes with the conductance, here 1 + 0.6 (1 - 0.5 P_a / P)."""
+    more = {"ratio": 1.6, "side": "outlet"}
+    plain = vented(Effects(), 0.05)
+    for falls in (0.0, 0.5):
+        trace = vented(on(flow_area={**more, "with_ratio": falls}), 0.05)
+        for start in (400e3, 300e3):
+            slopes = []
+            for one in (trace, plain):
+                absolute = one.pressure_kpa * 1e3 + ATM
+                k = int(np.searchsorted(-absolute, -start))
+                slopes.append(float(np.log(absolute[k + 3] / absolute[k - 3])))
+            expected = 1.0 + 0.6 * (1.0 - falls * ATM / start)
+            assert slopes[0] / slopes[1] == pytest.approx(expected, rel=2e-3)
+
+
 def test_the_subsonic_index_is_what_the_flow_beyond_the_ratio_falls_with() -> None:
     """ISO 6358-1:2013: psi = (1 - s^2)^m; here m = 0.5 + 0.4 (0.5 - 0.3)."""
     trace = filled(on(critical_ratio={"critical_ratio": 0.3, "index": 0.4}), 0.3)

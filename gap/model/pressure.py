@@ -176,11 +176,14 @@ def _flows(
         if q[layout.SUBSONIC_INDEX] != 0.0:
             share = _with_index(share, q[layout.SUBSONIC_INDEX])
         wider = 1.0 + q[stage.INLET_DROP] * (supply - fall - p) / FULL_PRESSURE_PA
+        wider += q[layout.RATIO] * min(absolute / above, 1.0)
         flow_in = scale * inlet * q[layout.INLET_CONDUCTANCE] * max(wider, 0.02) * above * share
         flow_in *= max(1.0 + more_in, 0.0)
     area = q[stage.LEAK]
     if outlet > 0.0 and (q[layout.CLOSING + 1] == 0.0 or p > q[layout.CLOSING + 1]):
-        wider = max(1.0 + q[stage.OUTLET_DROP] * p / FULL_PRESSURE_PA, 0.02)
+        wider = 1.0 + q[stage.OUTLET_DROP] * p / FULL_PRESSURE_PA
+        wider += q[layout.RATIO + 1] * min(q[layout.ATMOSPHERE] / absolute, 1.0)
+        wider = max(wider, 0.02)
         area += outlet * q[layout.OUTLET_CONDUCTANCE] * wider * max(1.0 + more_out, 0.0)
     if area > 0.0:
         drive = _outward(absolute, q[layout.ATMOSPHERE], q[layout.OUTLET_CRITICAL_RATIO])

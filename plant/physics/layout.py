@@ -73,7 +73,8 @@ CLOSING = 66  # Pa; (inlet, outlet) difference of pressures below which the valv
 SPOOL_LAG = 68  # s, of the opening; 0 without one
 LAG_WITH_PRESSURE = 70  # power of the absolute pressure that the transducer's lag falls with
 SUBSONIC_INDEX = 72  # what is added to 0.5, the subsonic index of the ellipse (ISO 6358-1)
-FREE_SLOT = 73  # from here on for effects of installed packages; 69 and 71 are of ours
+RATIO = 73  # (inlet, outlet) change of the conductance with the ratio of the pressures
+FREE_SLOT = 75  # from here on for effects of installed packages; 69 and 71 are of ours
 PARAMS_SIZE = 96  # the rest is kept at zero for what is still to come
 
 # Inputs that a recording may hold, as numbered in the compiled batch runner.

@@ -167,9 +167,13 @@ def flows(state: Slots, params: Slots, absolute: float) -> tuple[float, float]:
         psi = _factor(absolute / supply, params[at.INLET_CRITICAL_RATIO])
         if params[at.SUBSONIC_INDEX] != 0.0:
             psi = _with_index(psi, params[at.SUBSONIC_INDEX])
+        psi *= 1.0 + params[at.RATIO] * min(absolute / supply, 1.0)
         flow_in = scale * inlet * params[at.INLET_CONDUCTANCE] * supply * psi
     conductance = outward(state, params)
     if conductance > 0.0:
+        share = min(params[at.ATMOSPHERE] / absolute, 1.0)
+        valve = params[at.OUTLET_CONDUCTANCE] * passing(state, params, 1)
+        conductance += valve * params[at.RATIO + 1] * share
         drive = _outward(absolute, params[at.ATMOSPHERE], params[at.OUTLET_CRITICAL_RATIO])
         if params[at.SUBSONIC_INDEX] != 0.0 and drive > 0.0:
             drive = absolute * _with_index(drive / absolute, params[at.SUBSONIC_INDEX])

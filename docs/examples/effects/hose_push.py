@@ -6,7 +6,7 @@ from plant.constants import PlantConstants
 from plant.effects.arguments import Array, Context, Params, Points, Shape, Values
 from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
 
-PER_PA = 73  # N/Pa: the first free slot
+PER_PA = 75  # N/Pa: the first free slot
 MIDDLE_PA = 300e3
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from plant.constants import PlantConstants
 from plant.effects import pressure_stage as stage
 from plant.effects.arguments import Params, Shape, Values
-from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
+from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search, same_numbers
 from plant.physics import layout
 
 _LEAST = 0.02
@@ -14,9 +14,17 @@ _LEAST = 0.02
 
 def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
     ratio = float(values["ratio"])
+    falls = -float(values["with_ratio"]) * (ratio - 1.0) / ratio
     if values["side"] == "inlet":
-        return {layout.INLET_CONDUCTANCE: ratio * c.inlet_conductance_m3_s_pa}
-    return {layout.OUTLET_CONDUCTANCE: ratio * c.outlet_conductance_m3_s_pa}
+        nominal = c.inlet_conductance_m3_s_pa
+        return {layout.INLET_CONDUCTANCE: ratio * nominal, layout.RATIO: falls}
+    nominal = c.outlet_conductance_m3_s_pa
+    return {layout.OUTLET_CONDUCTANCE: ratio * nominal, layout.RATIO + 1: falls}
+
+
+def _stated(shape: Shape, values: Values, c: PlantConstants) -> Shape:
+    falls = float(values["with_ratio"])
+    return {"ratio": falls} if falls else {}
 
 
 def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
@@ -25,7 +33,10 @@ def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
         params[stage.INLET_DROP if inlet else stage.OUTLET_DROP] += amount
     else:
         side = layout.INLET_CONDUCTANCE if inlet else layout.OUTLET_CONDUCTANCE
-        params[side] *= max(1.0 + amount, _LEAST)
+        area = max(1.0 + amount, _LEAST)
+        params[side] *= area
+        if "ratio" in shape:
+            params[layout.RATIO + (not inlet)] -= shape["ratio"] * (area - 1.0) / area
 
 
 FLOW_AREA = Effect(
@@ -36,12 +47,13 @@ FLOW_AREA = Effect(
     (
         Parameter("ratio", "", "conductance over nominal", 0.1, 10),
         Parameter("side", "", "which valve", choices=("inlet", "outlet")),
+        Parameter("with_ratio", "", "share of the change that is gone at P2 = P1", 0.0, 1.0, 0.0),
     ),
     "all settled points; the other side's traces; pulses too short to open",
     ("dead_volume", "polytropic", "critical_ratio", "supply_droop", "leak", "valve_delay"),
     "fill against vent: an area concerns one of them, a volume both; pulses of several "
     "widths: an area scales each, a delay takes the same from each",
-    equation="C -> ratio C on one side",
+    equation="C -> C (1 + (ratio - 1) (1 - with_ratio P_2 / P_1)) on one side",
     source="ISO 6358-1",
     standard="a flow meter in the line",
     constants=("inlet_conductance_m3_s_pa", "outlet_conductance_m3_s_pa"),
@@ -49,12 +61,15 @@ FLOW_AREA = Effect(
     own_constant="{option}_conductance_m3_s_pa",
     ratio=True,
     plant=InPlant(slots=_slots),
-    diagnosis=InDiagnosis(gas=_gas),
+    diagnosis=InDiagnosis(gas=_gas, stated=_stated),
     search=Search(
         step=0.03,
         sign=0,
         blocks=("pressure",),
-        # A seat that lifts, or a filter that throttles, changes with the pressure drop.
-        shapes=({}, {"drop": 1.0}),
+        # A seat that lifts, or a filter that throttles, changes with the pressure drop; a jet is
+        # the narrower the less the ratio of the pressures is below 1.
+        shapes=({}, {"drop": 1.0}, {"ratio": 0.5}),
+        free={"ratio": (0.05, 0.95)},
+        as_plant=same_numbers(ratio="with_ratio"),
     ),
 )
