@@ -142,6 +142,18 @@ def side_flow(over: float, tau: float) -> float:
 
 
 @compiled
+def valved_flow(over: float, tau: float) -> float:
+    """The same into a side volume that fills past a check valve and empties through a throttle."""
+    return float(over / tau if over > 0.0 else over / (5.5 * tau))
+
+
+@compiled
+def slow_wall(gauge: float, follows: float) -> float:
+    """Rate in kPa/s at which a viscous wall comes after the pressure, as a gauge pressure."""
+    return float((gauge - follows) / 0.23)
+
+
+@compiled
 def swollen(gauge: float) -> float:
     """Volume of a soft hose over that at 300 kPa: arctangent."""
     return float(0.45 + 0.55 * math.atan(gauge / 110.0) / math.atan(STATED_KPA / 110.0))
@@ -179,6 +191,8 @@ def area(form: float, r: float, p1: float, p2: float) -> float:
     """Factor of a valve's conductance whose ratio is stated as r."""
     if form == 3.0:  # discharge coefficient of a sharp orifice
         return float(1.0 + (r - 1.0) * discharge(min(p2 / max(p1, 1.0), 1.0)) / 0.749)
+    if form == 5.0:  # a reed or poppet that the flow lifts against its spring
+        return float(1.0 + (r - 1.0) * (0.32 + 0.68 * math.sqrt(max(p1 - p2, 0.0) / STATED_KPA)))
     return float(1.0 + (r - 1.0) * (1.0 + 0.0007 * (p1 - 400.0)))  # linear in supply pressure
 
 
@@ -196,6 +210,10 @@ def choking(form: float, p1: float, p2: float, ratio: float) -> float:
         most = ideal ** (2.0 / 1.4) - ideal ** (2.4 / 1.4)
         flow = math.sqrt(max(y ** (2.0 / 1.4) - y ** (2.4 / 1.4), 0.0) / most)
         return float(flow * discharge(y) / discharge(ideal))
+    if form == 5.0:  # the jet is the more contracted the denser the gas is
+        bent = min(max(ratio + 0.00021 * (p1 - 385.0), 0.01), 0.97)
+        u = max((x - bent) / (1.0 - bent), 0.0)
+        return float(math.sqrt(1.0 - u * u))
     crack = 4.0 / p1  # a check that needs some pressure to open, and a blunt passage
     x += crack
     if x >= 1.0:
@@ -225,6 +243,9 @@ def sag_rate(form: float, gain: float, tau: float, inflow: float, fall: float) -
         return float(gain * inflow - fall / tau * math.sqrt(27.0 / (abs(fall) + 2.3)))
     if form == 4.0:  # friction of the line: goes with the flow squared
         return float((gain * inflow * inflow - fall) / 0.004)
+    if form == 6.0:  # holds its pressure up to its capacity, then gives way
+        over = max(inflow - 310.0, 0.0)
+        return float((gain * over - fall) / 0.009)
     opening = (inflow + 1.0) ** (1.0 / 3.0) - 1.0  # a regulator falls most as it begins to open
     return float((gain * opening - fall) / 0.012)
 
@@ -270,10 +291,19 @@ def slide_drag(form: float, v: float, z: float) -> float:
 
 @compiled
 def tap_rates(form: float, tau: float, p: float, y: float, y1: float, pa: float) -> Any:
-    """Rates of the tap's two states, kPa/s: pressure shown and (form 3) its speed, scaled."""
+    """Rates of the tap's two states, kPa/s: pressure shown, and its scaled speed (form 3)
+    or its slow part (form 5).
+    """
     if form == 3.0:  # a line that rings: damping ratio 0.6
         omega = 1.2 / tau
         return omega * y1, omega * (p - y) - 1.2 * omega * y1
+    if form == 5.0:  # a quick part and a slow one side by side; y1 is the slow one
+        quick, slow, part = 0.37 * tau, 2.89 * tau, 0.75
+        of_slow = (p - y1) / slow
+        of_quick = (p - (y - (1.0 - part) * y1) / part) / quick
+        return part * of_quick + (1.0 - part) * of_slow, of_slow
+    if form == 6.0:  # slower down than up
+        return (p - y) / (tau if p > y else 1.63 * tau), 0.0
     # compressible laminar flow in the line, exact at 300 kPa
     mean = 0.5 * (p + y) + pa
     return (p - y) / tau * max(mean, 20.0) / (STATED_KPA + 101.325), 0.0

@@ -87,7 +87,9 @@ def _droop(rng: Rng, form: int, c: np.ndarray) -> tuple[float, float, float]:
     tau = float(rng.uniform(0.05, 0.4))
     # For a fall of 40 kPa at a full flow of 960 mg/s; scaled to the headline on the design.
     filling = 960.0 * tau * (1.0 - np.exp(-0.06 / tau))
-    gain = {2: 40.0 / 960.0**0.8, 4: 40.0 / 960.0**2, 5: 40.0 / 8.87}.get(form, 40.0 / filling)
+    gain = {2: 40.0 / 960.0**0.8, 4: 40.0 / 960.0**2, 5: 40.0 / 8.87, 6: 40.0 / 650.0}.get(
+        form, 40.0 / filling
+    )
     return gain, tau, 0.0
 
 

@@ -106,6 +106,14 @@ def slopes(
             flow = alternatives.side_flow(p - y[n.Y_SIDE], e[n.VOLUME, 2])
             dy[n.Y_SIDE] = flow
             gain -= extra * flow
+        elif form == 5.0:  # its wall comes after the pressure
+            dy[n.Y_SIDE] = alternatives.slow_wall(p, y[n.Y_SIDE])
+            vol += extra * (0.35 + 0.65 * (y[n.Y_SIDE] - pa) / 300.0)
+            dv += extra * 0.65 / 300.0 * dy[n.Y_SIDE]
+        elif form == 6.0:
+            flow = alternatives.valved_flow(p - y[n.Y_SIDE], e[n.VOLUME, 2])
+            dy[n.Y_SIDE] = flow
+            gain -= extra * flow
         k = c[n.EXPONENT]
         if e[n.POLYTROPIC, 0] >= 0.0:
             k = 1.0 + e[n.POLYTROPIC, 1]

@@ -147,7 +147,7 @@ def at_rest(gauge: float, length: float, c: Array, e: Array) -> Any:
     p = gauge + c[n.ATMOSPHERE]
     y[n.Y_P], y[n.Y_ISO], y[n.Y_SIDE] = p, p, p
     y[n.Y_TAP], y[n.Y_TAP + 1] = gauge, gauge
-    if e[n.P_LAG, 0] >= 3.0:  # a speed there, not a pressure
+    if e[n.P_LAG, 0] >= 3.0 and e[n.P_LAG, 0] != 5.0:  # a speed there, not a pressure
         y[n.Y_TAP + 1] = 0.0
     y[n.Y_L] = length
     if c[n.MASS] > 0.0:  # hangs on its lower stop
