@@ -4,8 +4,8 @@ Form 0 is the plainest; 1 and 2 are drawn for practice, reserved and live sets; 
 held out: the campaign's stream of held-out forms alone draws them, so that neither the diagnosis
 nor its tests nor its learnt reliability has met them. The equations run in `laws`, `kernel`,
 `readings` and, from 3 on, `alternatives`. Where two numbers run the same equation the table says
-so (`same_as`), and the effect has one more that is held out. Where the diagnosis has learnt the kind of
-a held-out form since, the effect has newer ones.
+so (`same_as`), and the effect has one more that is held out. Where the diagnosis has learnt the
+kind of a held-out form since, the effect has newer ones.
 """
 
 from __future__ import annotations
