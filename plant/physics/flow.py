@@ -27,11 +27,6 @@ MOST_DROOP = 0.45
 _BISECTIONS = 24
 """Halvings of at most 45 % of the supply: to a few hundredths of a pascal."""
 
-MOST_DROOP = 0.45
-"""Share of the supply that a droop takes at most."""
-_BISECTIONS = 24
-"""Halvings of at most 45 % of the supply: to a few hundredths of a pascal."""
-
 
 # The functions below are also compiled into the kernel: scalar floats, no validation.
 def subsonic_factor(ratio: float, critical_ratio: float) -> float:
