@@ -23,6 +23,20 @@ def predicted(without: float, left: float, rival: float, by: str = "creep") -> P
     return Prediction(400, without, left, {(by,): rival})
 
 
+def test_what_a_standard_shows_is_named_though_the_rest_is_open() -> None:
+    """Withheld bench 940: blocks showed the camera's scale, and a small rest looked like a stop."""
+    ids = ("camera_scale+contraction_limit", "camera_scale+end_cap")
+    verdict = dataclasses.replace(
+        verdict_with("indistinguishable", ids),
+        evidence={"standards": {"shown": {"camera_scale": {"value": 0.4, "u": 0.02}}}},
+    )
+    standing = SequentialVerdict(verdict=verdict)
+    assert (standing.conclusion, standing.named) == ("named", "length_sensor")
+    assert standing.references == {}
+    none = dataclasses.replace(verdict, evidence={"standards": {"shown": {}, "cleared": []}})
+    assert SequentialVerdict(verdict=none).conclusion == "needs reference"
+
+
 @pytest.mark.parametrize(
     ("effects", "tests", "conclusion"),
     [

@@ -34,6 +34,7 @@ from gap.validation.improved_plant import improved_plant
 from gap.verdict import Estimate, Explanation, Status, Verdict
 from plant.constants import nominal
 from plant.effects.effects import Effects
+from plant.simulator.readings import read_pressure
 from tests.gap_bench import write_set
 
 BLOCKS = (54.0, 58.0, 62.0, 66.0, 70.0)
@@ -78,6 +79,42 @@ def test_a_gauge_beside_a_better_one_has_the_gain_that_is_read(gain: float, stat
     value, u = found.errors["pressure_gain"]
     assert value == pytest.approx(gain + stated, abs=1e-6)  # what was stated before is replaced
     assert u == pytest.approx(0.1 / np.sqrt(np.sum((at / 100.0) ** 2)), rel=1e-6)  # least squares
+
+
+GAUGED = np.r_[60.0:601.0:60.0]
+
+
+def off_in(found: StandardCheck) -> np.ndarray:
+    """What the errors that a check found make of the pressures read above, kPa."""
+    return np.asarray(read_pressure(GAUGED, found.effects) - GAUGED)
+
+
+def bends(found: StandardCheck) -> bool:
+    """Whether a scale that changes over its range is among them."""
+    return any(
+        effect.sensors.scale_changes is not None and effect.sensors.scale_changes(values)
+        for effect, values in found.effects.active()
+    )
+
+
+@pytest.mark.parametrize("off", [0.0, 2.0])
+def test_a_scale_that_bends_is_stated_as_it_bends(off: float) -> None:
+    """A sine over the range (IEC 61298-2, S-shaped), which is no power and no polynomial."""
+    true_off = 0.05 * GAUGED * (1.0 + 0.2 * np.sin(np.pi * GAUGED / 300.0)) + off
+    found = check_standards(data_with(readings("pressure_kpa", GAUGED, true_off, 0.3)))
+    assert found.shown[0] == "pressure_gain"
+    assert bends(found)
+    assert off_in(found) == pytest.approx(true_off, abs=1.2)
+    if not off:  # the foot of a curve may hold a small zero error
+        assert found.shown == ("pressure_gain",)
+
+
+@given(st.integers(0, 10_000), st.floats(-5.0, 5.0))
+def test_a_straight_scale_that_is_read_with_scatter_does_not_bend(seed: int, gain: float) -> None:
+    scatter = np.random.default_rng(seed).normal(0.0, 0.3, len(GAUGED))
+    true_off = gain / 100.0 * GAUGED + scatter
+    found = check_standards(data_with(readings("pressure_kpa", GAUGED, true_off, 0.3)))
+    assert not bends(found)
 
 
 @pytest.mark.parametrize("channel", sorted(ERRORS_OF))

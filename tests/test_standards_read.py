@@ -10,6 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 import cli.investigate.investigate as loop
+from blind.live import Secret
+from blind.physics.entries import Hidden
 from blind.physics.readings import read_length
 from cli.investigate.investigate import investigate
 from cli.main import app
@@ -24,8 +26,9 @@ from rigs.devices.operator import Request
 from rigs.execution.runner import Watch
 from rigs.rigfile.config import RigConfig, load_rig
 from rigs.virtual.bench import VirtualBench
+from rigs.virtual.withheld.bench import WithheldBench
 from tests.test_investigate import few, rig_with
-from tests.test_withheld import hiding
+from tests.test_withheld import hiding, stated
 
 BOTH = ("length_mm", "held_length_mm")
 
@@ -61,6 +64,31 @@ def test_a_bench_of_hidden_physics_shows_blocks_by_its_own_camera(tmp_path: Path
     assert errors(read, "length_mm") == pytest.approx(expected, abs=0.02)
     # The muscle is back: a camera that still saw the last block would say 70 mm.
     assert bench.sensor_error.length_mm(0.0) == bench.live.step(1e-6).length_mm
+
+
+def test_a_gauge_beside_the_sensor_shows_what_the_sensor_is_off_by(tmp_path: Path) -> None:
+    config = rig_with(tmp_path, "[effects.pressure_gain]\npercent = 3.0\n")
+    read, folder = read_standards(config, ("pressure_kpa",), tmp_path / "runs")
+    true = np.array([one.true for one in read])
+    assert len(true) == 9  # up and down
+    assert np.ptp(true) > 0.6 * config.limits.pressure_kpa
+    # The sensor's own calibration is off by up to 0.5 kPa and 0.3 % (k = 1) on this bench.
+    assert errors(read, "pressure_kpa") == pytest.approx(0.03 * true, abs=2.5)
+    assert all(0.3 <= one.u < 0.5 for one in read)
+    run = open_run(folder)
+    assert (run.final or {})["outcome"] == "clean"
+    assert findings(run) == ()
+
+
+def test_a_bench_of_hidden_physics_shows_its_gauge_by_its_own_sensor(tmp_path: Path) -> None:
+    config = load_rig("virtual-instruments")
+    secret = Secret((Hidden("pressure_gain", 1, 6.0),), stated(config), {})
+    bench = WithheldBench(config, secret, VirtualClock())
+    read, _ = read_standards(config, ("pressure_kpa",), tmp_path, bench=bench)
+    true = np.array([one.true for one in read])
+    # 0.9 of it is straight, the rest grows with the pressure.
+    expected = true * 0.06 * (0.9 + 0.1 * true / 300.0)
+    assert errors(read, "pressure_kpa") == pytest.approx(expected, abs=1.0)
 
 
 def test_the_stage_moves_only_when_nothing_is_between_the_holders(tmp_path: Path) -> None:
@@ -105,7 +133,7 @@ def test_lengths_of_blocks_differ_and_lie_within_the_range(low: float, high: flo
 
 
 def test_what_nobody_can_set_is_not_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert readable_standards(load_rig("virtual")) == BOTH
+    assert readable_standards(load_rig("virtual")) == ("pressure_kpa", *BOTH)
     by_hand = load_rig("virtual-weights")
     assert by_hand.stage.kind == "manual"
     assert "held_length_mm" not in readable_standards(by_hand)  # no scale is written down there
@@ -149,10 +177,14 @@ def test_the_command_writes_what_a_data_set_takes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("extra", "named"),
     [
-        (["--channels", "pressure_kpa"], "'pressure_kpa' cannot be read with gauge blocks"),
+        (["--channels", "force_n"], "'force_n' cannot be read with a standard"),
         (["--channels", ""], "--channels"),
         (["--u-mm", "0"], "--u-mm"),
-        (["--rig", "virtual-weights", "--channels", "held_length_mm"], "possible: length_mm"),
+        (["--channels", "pressure_kpa", "--u-kpa", "0"], "--u-kpa"),
+        (
+            ["--rig", "virtual-weights", "--channels", "held_length_mm"],
+            "possible: pressure_kpa, length_mm",
+        ),
     ],
 )
 def test_what_cannot_be_checked_is_refused_before_anything_moves(

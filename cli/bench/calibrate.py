@@ -309,35 +309,44 @@ def check(
     out: Annotated[Path, typer.Option("--out", help="standards.csv to write.")],
     rig: RigOption = "virtual",
     channels: Annotated[
-        str, typer.Option("--channels", help="length_mm (camera), held_length_mm (holders).")
+        str,
+        typer.Option(
+            "--channels",
+            help="length_mm (camera), held_length_mm (holders), pressure_kpa (board's sensor).",
+        ),
     ] = "length_mm,held_length_mm",
     u_blocks: Annotated[
         float, typer.Option("--u-mm", help="u of a length by gauge blocks, in mm.")
     ] = 0.01,
+    u_gauge: Annotated[
+        float, typer.Option("--u-kpa", help="u of the reference gauge as it is read, in kPa.")
+    ] = 0.3,
     records: RecordsOption = RECORDS,
     operator: OperatorOption = "",
     replace: ReplaceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """What camera and holders are off by now: gauge blocks, for the diagnosis. Changes nothing."""
+    """What the instruments are off by now: blocks, gauge, for the diagnosis. Changes nothing."""
     from daq.wholefile import whole_files
     from gap.data.from_runs import standards_text
-    from rigs.calibration.standards import read_standards, readable_standards
+    from rigs.calibration.standards import GAUGE_CHANNEL, read_standards, readable_standards
     from rigs.rigfile.config import load_rig
 
     bounded("--u-mm", u_blocks, 0.0, 10.0, "mm", above=True)
+    bounded("--u-kpa", u_gauge, 0.0, 100.0, "kPa", above=True)
     config = load_rig(rig)
     wanted = [word.strip() for word in channels.split(",") if word.strip()]
     possible = readable_standards(config)
     for word in wanted or [""]:
         if word not in possible:
             raise ConfigError(
-                "--channels", f"{word!r} cannot be read with gauge blocks here ({config.source})",
+                "--channels", f"{word!r} cannot be read with a standard here ({config.source})",
                 f"possible: {', '.join(possible)}" if possible else "run it at a terminal",
             )  # fmt: skip
+    u = {name: u_gauge if name == GAUGE_CHANNEL else u_blocks for name in wanted}
     with _calibrating(out, replace, 0) as stop:
         read, folder = read_standards(
-            config, wanted, records, u_mm=u_blocks, who=operator, stop=stop, watch=_watch(as_json)
+            config, wanted, records, u=u, who=operator, stop=stop, watch=_watch(as_json)
         )
     with writing(out), whole_files() as part:
         part(out).write_text(standards_text(read), encoding="utf-8")
@@ -346,7 +355,7 @@ def check(
             {"readings": [vars(one) for one in read], "file": str(out), "record": str(folder)}
         )
         return
-    typer.echo(f"{'channel':>15} {'true':>9} {'read':>9} {'off':>8} {'u':>7} mm")
+    typer.echo(f"{'channel':>15} {'true':>9} {'read':>9} {'off':>8} {'u':>7}")
     for one in read:
         off = one.read - one.true
         typer.echo(f"{one.channel:>15} {one.true:9.3f} {one.read:9.3f} {off:8.3f} {one.u:7.3f}")

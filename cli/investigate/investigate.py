@@ -212,6 +212,9 @@ def _have_standards_read(
         report(f"  {running.rounds[-1].headline}")
 
 
+ASKS_FOR_STANDARDS = (Conclusion.NEEDS_REFERENCE, Conclusion.OPEN)
+
+
 @dataclass
 class _Running(SequentialVerdict):
     """An investigation under way: the tests so far, and what is known after them."""
@@ -325,8 +328,12 @@ class _Running(SequentialVerdict):
 
     @property
     def wanted_standards(self) -> tuple[str, ...]:
-        """Channels that should read a standard, as nothing else decides, and have not yet."""
-        if self.verdict is None or self.conclusion is not Conclusion.NEEDS_REFERENCE:
+        """Channels that should read a standard, as nothing else decides, and have not yet.
+
+        So it is too where what fits best rests on an error of an instrument that nobody believes:
+        one that reads right leaves the rest.
+        """
+        if self.verdict is None or self.conclusion not in ASKS_FOR_STANDARDS:
             return ()
         had = {one.channel for one in self.standards}
         return tuple(

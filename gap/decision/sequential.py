@@ -99,6 +99,16 @@ class SequentialVerdict:
         return None
 
     @property
+    def by_standard(self) -> frozenset[str]:
+        """Families of the errors that reference standards show, where the rest has no name.
+
+        They were measured by themselves: they are certain, whatever else acts.
+        """
+        if self.verdict is None or self.verdict.status not in UNSETTLED:
+            return frozenset()
+        return families(tuple(self.verdict.evidence.get("standards", {}).get("shown", ())))
+
+    @property
     def of_family(self) -> list[Explanation]:
         """The entries left in which the leading family is."""
         left = self.verdict.effects if self.verdict else ()
@@ -126,6 +136,8 @@ class SequentialVerdict:
         """
         if self.conclusion != Conclusion.NAMED or self.verdict is None or not self.verdict.effects:
             return None
+        if self.by_standard:
+            return joint(self.by_standard)
         if self.confirmed is not None:
             return self.family
         several = families(self.verdict.effects[0].ids)
@@ -162,7 +174,7 @@ class SequentialVerdict:
         """The conclusion that the tests so far allow."""
         assert self.verdict is not None
         status = self.verdict.status
-        if status in NAMED or self.confirmed is not None:
+        if status in NAMED or self.confirmed is not None or self.by_standard:
             return Conclusion.NAMED
         if status in ALIKE and (len(self.verdict.effects) > 1 or self.apart_by_reference):
             return Conclusion.NEEDS_REFERENCE
@@ -190,6 +202,8 @@ class SequentialVerdict:
         assert self.verdict is not None
         if self.verdict.status == Status.NO_GAP_ABOVE_FLOOR:
             return {name: reference_for(name) for name in self.relieving}
+        if self.by_standard:
+            return {}
         proven = self.confirmed is not None
         left = self.of_family if proven else self.verdict.effects
         names = dict.fromkeys(name for effect in left for name in effect.ids)

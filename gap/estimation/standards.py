@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from daq.calibration import StandardReading
 from gap.data.dataset import DataSet
@@ -82,6 +83,8 @@ class _Fit:
     amounts: Array
     covariance: Array
     chi2: float
+    scale: Mapping[str, float] = field(default_factory=dict)
+    """What a plant file states beside the headline of a scale that bends, the first of `ids`."""
 
 
 def check_standards(data: DataSet) -> StandardCheck:
@@ -104,7 +107,8 @@ def check_standards(data: DataSet) -> StandardCheck:
         for k, name in enumerate(found.ids):
             headline = str(CATALOGUE[name].headline)
             amount = data.effects.get(name, headline) + float(found.amounts[k])
-            shown[name] = {**data.effects.values.get(name, {}), headline: amount}
+            bend = found.scale if k == 0 else {}
+            shown[name] = {**data.effects.values.get(name, {}), headline: amount, **bend}
             errors[name] = amount, float(np.sqrt(found.covariance[k, k]))
         cleared += [n for n in names if n not in found.ids and _would_show(n, own, data.constants)]
     try:
@@ -177,7 +181,75 @@ def _errors_of(
         least = min((one for one in tried if one), key=lambda one: one.chi2, default=None)
         if least is not None and best.chi2 - least.chi2 > SHOWN_CHI2:
             best = least
+    for name in names:
+        if CATALOGUE[name].search.curve is not None and name not in data.effects.values:
+            best = _bent(name, best, off, weight, own, data.constants)
     return best
+
+
+def _bent(
+    name: str, straight: _Fit, off: Array, weight: Array, own: Sequence[StandardReading],
+    constants: PlantConstants,
+) -> _Fit:  # fmt: skip
+    """The fit with a scale that bends, where each of its numbers is worth 9 in chi-square.
+
+    It goes with a power of the value, or along a calibration curve of three numbers, as plant files
+    state them; alone, or beside what else the straight fit has.
+    """
+    curve = CATALOGUE[name].search.curve
+    assert curve is not None
+    others = tuple(other for other in straight.ids if other != name)
+    best = straight
+    for keys in (("power",), tuple(curve)):
+        for beside in dict.fromkeys(((), others)):
+            found = _along(name, keys, beside, off, weight, own, constants)
+            more = _numbers(found) - _numbers(best) if found is not None else 0
+            if found is not None and best.chi2 - found.chi2 > SHOWN_CHI2 * max(more, 1):
+                best = found
+    return best
+
+
+def _numbers(fit: _Fit) -> int:
+    """How many numbers were fitted: the full value of a scale is none."""
+    return len(fit.ids) + max(len(fit.scale) - 1, 0)
+
+
+def _along(
+    name: str, keys: tuple[str, ...], beside: tuple[str, ...], off: Array, weight: Array,
+    own: Sequence[StandardReading], constants: PlantConstants,
+) -> _Fit | None:  # fmt: skip
+    """A scale that bends by some numbers, beside other errors; None where too few readings tell."""
+    effect = CATALOGUE[name]
+    true = np.array([one.true for one in own])
+    if len(set(true)) < len(keys) + 2 + len(beside) or not true.max() > 0.0:
+        return None
+    full = next(p.name for p in effect.parameters if p.name.startswith("full_"))
+    columns = [_unit(other, own, constants) for other in beside]
+    root = np.linalg.cholesky(weight).T
+
+    def scale(x: Array) -> dict[str, float]:
+        numbers = dict(zip(keys, np.exp(x[1 : 1 + len(keys)]).tolist(), strict=True))
+        return {**numbers, full: float(true.max())}
+
+    def left(x: Array) -> Array:
+        stated = {str(effect.headline): float(x[0]), **scale(x)}
+        shown = _read(own[0].channel, true, constants, Effects.from_config({name: stated}))
+        rest = off - (shown - true)
+        for amount, column in zip(x[1 + len(keys) :], columns, strict=True):
+            rest = rest - amount * column
+        return np.asarray(root @ rest)
+
+    most = effect.parameters[0].high
+    first = 100.0 * float(off[np.argmax(true)]) / float(true.max())
+    start = np.r_[np.clip(first, -0.9 * most, 0.9 * most), np.zeros(len(keys) + len(beside))]
+    low, high = zip(*(effect.search.free[key] for key in keys), strict=True)
+    open_end = np.full(len(beside), np.inf)
+    bounds = np.r_[-most, np.log(low), -open_end], np.r_[most, np.log(high), open_end]
+    fit = least_squares(left, start, bounds=bounds, x_scale="jac")
+    covariance = np.linalg.pinv(fit.jac.T @ fit.jac)
+    kept = [0, *range(1 + len(keys), len(fit.x))]
+    chi2 = float(np.sum(fit.fun**2))
+    return _Fit((name, *beside), fit.x[kept], covariance[np.ix_(kept, kept)], chi2, scale(fit.x))
 
 
 def _fitted(

@@ -147,7 +147,7 @@ def _bent(straight: Array, bends: list[_Bend], context: Context) -> Array:
 def _straightened(shown: Array, bends: list[_Bend], context: Context) -> Array:
     if not bends or not len(shown):
         return shown
-    if len(shown) > 2 * _NODES:
+    if len(shown) > 2 * _NODES and not np.isnan(shown).all():
         # Many readings lie close together: between so many nodes a scale is straight, but where it
         # stops changing.
         low, high = float(np.nanmin(shown)), float(np.nanmax(shown))

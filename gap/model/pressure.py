@@ -248,13 +248,14 @@ def _advance(
             # A hose that widens takes gas as if the volume were larger by this much.
             wide = _widening(q, max(p, 0.0), at)
             rate = k * heat * (flow_in - warm * flow_out) / (v + wide) - k * (p + at) * slope / v
-            # A step changes the pressure by a third of what drives the flow, at most.
+            # A step changes the pressure by a seventh of what drives the flow, at most. With a
+            # third the end of a fill was off as if the valve had another subsonic index.
             drive = 1e9
             if inlet > 0.0:
                 drive = abs(filled - fall - p) + 200.0
             if outlet > 0.0 or q[stage.LEAK] > 0.0:
                 drive = min(drive, abs(p - vented) + 200.0)
-            h = min(left, max(0.3 * drive / (abs(rate) + 1.0), 2e-5))
+            h = min(left, max(0.15 * drive / (abs(rate) + 1.0), 2e-5))
             h = min(h, _LONGEST_SHUT_S if inlet == 0.0 and outlet == 0.0 else _LONGEST_S)
         if q[stage.LINE] > 0.0:
             line_time = _line_time(q, p - s[4])

@@ -249,6 +249,8 @@ def conclusion_text(found: SequentialVerdict) -> str:
             "the end of its tolerance; "
             f"{' or '.join(found.relieving)} in its place would fit as well"
         )
+    if found.by_standard:
+        return headline(found.verdict)
     if found.confirmed is None:
         apart = found.apart_by_reference
         others = [name for name in apart if name not in found.verdict.effects[0].ids]

@@ -99,14 +99,14 @@ def calibrate_pressure(
         record = open_record(rig, root, "calibrate-pressure", known, parameters, who)
         points: list[Point] = []
         runner = Runner(rig, record, stop, watch or Watch(), camera_values(config))
-        steps = _pressure_steps(rig, record, up_and_down(pressures_kpa), seconds, read, points)
+        steps = pressure_steps(rig, record, up_and_down(pressures_kpa), seconds, read, points)
         carry_out(rig, record, lambda: runner.run(steps, 2 * len(pressures_kpa) - 1), stop)
         serial = rig.identities["valve"].get("serial", "")
         old = config.calibrations["pressure_kpa"]
         return finish(record, rig, old, serial, points, known)
 
 
-def _pressure_steps(
+def pressure_steps(
     rig: Rig,
     record: RecordWriter,
     pressures_kpa: list[float],

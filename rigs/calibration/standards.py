@@ -1,4 +1,4 @@
-"""Reading reference standards of length: gauge blocks before the camera and between the holders.
+"""Reading reference standards: a gauge beside the pressure sensor, gauge blocks for the lengths.
 
 Unlike a calibration it changes nothing: it says by how much an instrument is off at places that the
 diagnosis of a gap needs to know.
@@ -7,7 +7,7 @@ diagnosis of a gap needs to know.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,10 +19,18 @@ from daq.errors import DeviceError
 from daq.interrupt import StopFlag
 from daq.record.writer import RecordWriter
 from rigs.bench.rig import Rig, open_rig
-from rigs.calibration.run import block_mean, carry_out, open_record, request
+from rigs.calibration.pressure import pressure_steps
+from rigs.calibration.run import (
+    Point,
+    block_mean,
+    carry_out,
+    open_record,
+    request,
+    up_and_down,
+)
 from rigs.devices.motion.stage import MotorStage
 from rigs.devices.operator import Request, at_a_terminal, request_done, request_number
-from rigs.execution.runner import Watch
+from rigs.execution.runner import Runner, Watch
 from rigs.rigfile.config import CAMERA, RigConfig, camera_values
 
 if TYPE_CHECKING:
@@ -30,6 +38,7 @@ if TYPE_CHECKING:
 
 CAMERA_CHANNEL = "length_mm"
 HOLDERS_CHANNEL = "held_length_mm"
+GAUGE_CHANNEL = "pressure_kpa"
 PLACES = 5
 """Blocks before the camera: enough to tell a scale from a lens that bends."""
 HELD = 3
@@ -37,16 +46,29 @@ HELD = 3
 PICTURES = 10
 INNER = (0.1, 0.9)
 """Part of the range of lengths that is looked at."""
-U_BLOCKS_MM = 0.01
-"""Standard uncertainty of a length by gauge blocks, with how they are seated or wrung to feel; the
-advice of the diagnosis counts on 0.02 to 0.05 mm."""
+PRESSURES = (0.1, 0.3, 0.5, 0.7, 0.9)
+"""Where the gauge is read, as shares of the rig's limit. Not vented: the converters of many boards
+end there."""
+GAUGED_S = 2.0
+"""How long the sensor is read beside the gauge."""
+GAUGED_AT = 0.3
+"""Share of the range of lengths at which the muscle is held meanwhile: short, so that it does not
+pull its most."""
+U_OF: Mapping[str, float] = {CAMERA_CHANNEL: 0.01, HOLDERS_CHANNEL: 0.01, GAUGE_CHANNEL: 0.3}
+"""Standard uncertainty of a standard, in the unit of its channel: a length by gauge blocks with how
+they are seated or wrung to feel (the advice of the diagnosis counts on 0.02 to 0.05 mm), a
+reference gauge of class 0.1 to 10 bar as it is read."""
 
 
 def readable_standards(config: RigConfig) -> tuple[str, ...]:
     """Channels whose standards can be read on this rig now: somebody must be there to set them."""
     if not (config.is_virtual or at_a_terminal()):
         return ()
-    found = [CAMERA_CHANNEL] if config.camera.source and config.length_source == CAMERA else []
+    # A gauge is compared with the sensor of the board, where tests read that one.
+    own = not config.pressure_source.sensor and config.joint is None
+    found = [GAUGE_CHANNEL] if own else []
+    if config.camera.source and config.length_source == CAMERA:
+        found.append(CAMERA_CHANNEL)
     # Somebody who sets a length by hand reads it by the camera: no scale is written down.
     return (*found, HOLDERS_CHANNEL) if config.stage.kind != "manual" else tuple(found)
 
@@ -56,19 +78,21 @@ def read_standards(
     channels: Collection[str],
     root: Path,
     *,
-    u_mm: float = U_BLOCKS_MM,
+    u: Mapping[str, float] = U_OF,
     who: str = "",
     stop: StopFlag | None = None,
     watch: Watch | None = None,
     bench: VirtualBench | None = None,
 ) -> tuple[tuple[StandardReading, ...], Path]:
-    """Have a person set gauge blocks, and read them; the muscle is vented and taken out before.
+    """Have a person read a gauge and set gauge blocks, and read the instruments with them.
+
+    The gauge comes first; for the blocks the muscle is vented and taken out.
 
     Args:
         config: the rig.
         channels: what is to read them, of `readable_standards`.
         root: folder for the record.
-        u_mm: standard uncertainty of a length by blocks.
+        u: standard uncertainty of the standard that a channel reads, in its unit.
         who, stop, watch: as for a calibration.
         bench: the virtual bench of earlier tests, where this is to go on with it.
 
@@ -80,19 +104,27 @@ def read_standards(
     """
     stop, watch = stop or StopFlag(), watch or Watch()
     low, high = config.limits.length_min_mm, config.limits.length_max_mm
-    blocks = Reference("gauge blocks", u_each=u_mm)
+    lengths = set(channels) - {GAUGE_CHANNEL}
+    known = [name for name, here in _KNOWN if here & set(channels)]
+    least = min(u[channel] for channel in channels)
     with open_rig(config, bench=bench) as rig:
         record = open_record(
-            rig, root, "calibrate-check", blocks, {"channels": sorted(channels)}, who
-        )
+            rig, root, "calibrate-check", Reference(" and ".join(known), u_each=least),
+            {"channels": {channel: u[channel] for channel in sorted(channels)}}, who,
+        )  # fmt: skip
         found: list[StandardReading] = []
 
-        def take(channel: str, true: float, read: float, u: float) -> None:
-            found.append(StandardReading(channel, true, read, float(math.hypot(u, u_mm))))
+        def take(channel: str, true: float, read: float, u_read: float) -> None:
+            u_both = float(math.hypot(u_read, u[channel]))
+            found.append(StandardReading(channel, true, read, u_both))
             record.event("standard_reading", **vars(found[-1]))
 
         def method() -> None:
+            if GAUGE_CHANNEL in channels:
+                _read_gauge(rig, record, stop, watch, take)
             rig.vent()
+            if not lengths:
+                return
             request(rig, "muscle off", 0.0, "mm", "take the muscle out")
             if CAMERA_CHANNEL in channels:
                 for length in _places(low, high, PLACES):
@@ -108,6 +140,10 @@ def read_standards(
     return tuple(found), record.folder
 
 
+_KNOWN = (
+    ("reference gauge", {GAUGE_CHANNEL}),
+    ("gauge blocks", {CAMERA_CHANNEL, HOLDERS_CHANNEL}),
+)
 Take = Callable[[str, float, float, float], None]
 
 
@@ -116,6 +152,27 @@ def _places(low: float, high: float, count: int) -> list[float]:
     first, last = (low + share * (high - low) for share in INNER)
     digits = 0 if last - first >= 2.0 * count else 1  # no two alike, none beyond the range
     return [float(round(length, digits)) for length in np.linspace(first, last, count)]
+
+
+def _read_gauge(rig: Rig, record: RecordWriter, stop: StopFlag, watch: Watch, take: Take) -> None:
+    """Pressures that the bench makes, up and down, read by a person and by the board's sensor."""
+    limits = rig.config.limits
+    request(rig, "gauge", 0.0, "kPa", "connect the reference gauge beside the pressure sensor")
+    if isinstance(rig.stage, MotorStage):
+        short = limits.length_min_mm + GAUGED_AT * (limits.length_max_mm - limits.length_min_mm)
+        rig.stage.set_value(round(short, 1))
+    calibration = rig.config.calibrations[GAUGE_CHANNEL]
+    asked = Request("reference pressure", math.nan, "kPa", "read the gauge in kPa and type it")
+    points: list[Point] = []
+    pressures = up_and_down([round(share * limits.pressure_kpa) for share in PRESSURES])
+    steps = pressure_steps(
+        rig, record, pressures, GAUGED_S,
+        lambda: request_number(rig.operator, rig.event_loop, asked), points,
+    )  # fmt: skip
+    Runner(rig, record, stop, watch, camera_values(rig.config)).run(steps, len(pressures))
+    for point in points:
+        read = float(calibration.apply(point.raw))
+        take(GAUGE_CHANNEL, point.reference, read, abs(calibration.scale) * point.u_raw)
 
 
 def _read_block(rig: Rig, record: RecordWriter, length: float, take: Take) -> None:
