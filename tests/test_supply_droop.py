@@ -26,7 +26,7 @@ from plant.physics import layout, muscle
 from plant.physics.flow import drooped
 from plant.simulator.simulate import run_commands
 from tests.gap_bench import commands, write_set
-from tests.test_gap_forms import HELD_M, SUPPLY_PA
+from tests.test_gap_forms import HELD_M, SUPPLY_PA, course
 
 C = nominal()
 SOURCE = 6e5
@@ -108,6 +108,16 @@ def test_the_chamber_fills_as_scipy_says(power: float) -> None:
     # The valve's first instant apart, within a hundredth of what has come in.
     error = np.abs(shown + C.atmosphere_pa - exact.y[0])
     assert error.max() < 0.01 * SUPPLY_PA
+
+
+def test_a_source_that_takes_time_ends_where_one_does_that_takes_none() -> None:
+    """A tenth of a millisecond is none; a second is too long for a fill to show the fall."""
+    fill = [(0.02, 1)]
+    fallen = course("supply_droop", "", 120.0, {"power": 0.5}, fill)
+    quick = course("supply_droop", "", 120.0, {"power": 0.5, "tau_s": 1e-4}, fill)
+    assert quick == pytest.approx(fallen, abs=2e3)
+    slow = course("supply_droop", "", 120.0, {"power": 0.5, "tau_s": 5.0}, fill)
+    assert slow == pytest.approx(course("supply_droop", "", 0.0, {}, fill), abs=6e3)
 
 
 def test_the_plant_shows_a_line_that_falls_with_the_square_of_the_flow() -> None:

@@ -110,9 +110,15 @@ def _widening(q: Any, p: float, at: float) -> float:
 
 
 @inlined
+def _at_once(q: Any) -> bool:
+    """Whether the supply falls with a power of the flow, and takes no time for it."""
+    return bool(q[stage.DROOP_POWER] > 0.0 and q[stage.DROOP_TIME] == 0.0)
+
+
+@inlined
 def _fall(q: Any, followed: float, p: float, supply: float, inlet: float) -> float:
     """How far the supply is below what it is at rest, Pa: `followed` unless a power states it."""
-    if q[stage.DROOP_POWER] == 0.0:
+    if not _at_once(q):
         return followed
     if inlet == 0.0:
         return 0.0
@@ -122,6 +128,29 @@ def _fall(q: Any, followed: float, p: float, supply: float, inlet: float) -> flo
         q[stage.DROOP_POWER],
     )  # fmt: skip
     return float(source - at_inlet)
+
+
+@called
+def _falling(q: Any, fall: float, inside: float, source: float, span: float) -> float:
+    """Fall towards which that of a supply goes for `span` s, Pa; pressures absolute.
+
+    The flow depends on where the fall ends, steeply near equal pressures: that is solved for.
+    """
+    droop = min(q[stage.DROOP], flow.MOST_DROOP * source)
+    follows = 1.0 - math.exp(-span / q[stage.DROOP_TIME])
+    low = 0.0
+    high = max(fall, droop)
+    target = 0.0
+    for _ in range(30):
+        end = 0.5 * (low + high)
+        above = source - end
+        share = _factor(inside / above, q[layout.INLET_CRITICAL_RATIO]) * above / (source - droop)
+        target = droop * share ** q[stage.DROOP_POWER]
+        if end < fall + follows * (target - fall):
+            low = end
+        else:
+            high = end
+    return float(fall + (0.5 * (low + high) - fall) / follows)
 
 
 @inlined
@@ -287,7 +316,7 @@ def _advance(
             # Flow ends at equal pressure; no step may carry the gas beyond.
             alone = slope == 0.0
             top = filled
-            if q[stage.DROOP_POWER] == 0.0:
+            if not _at_once(q):
                 top -= s[3]
             if inlet > 0.0 and outlet == 0.0 and p <= top and alone:
                 p1 = min(p1, top)
@@ -308,8 +337,10 @@ def _advance(
                 pace *= _HEAT_AT_PA / max(iso + at, _LEAST_SHARE * at)
             p1 += (iso - p1) * (1.0 - math.exp(-h * pace))
         target = q[stage.DROOP] * share if inlet > 0.0 else 0.0
-        if q[stage.DROOP_POWER] > 0.0:
+        if _at_once(q):
             target = _fall(q, 0.0, p1, supply, inlet)
+        elif q[stage.DROOP_POWER] > 0.0 and inlet > 0.0:
+            target = _falling(q, s[3], p1 + at, supply + at, h)
         droop_time = q[stage.DROOP_TIME]
         if target < s[3] and q[stage.DROOP_BACK] > 0.0:
             droop_time = q[stage.DROOP_BACK]

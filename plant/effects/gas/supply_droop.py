@@ -84,6 +84,7 @@ SUPPLY_DROOP = Effect(
             # A line or fitting, and a regulator that gives way before much flows.
             {"power": 2.0},
             {"power": 0.5},
+            {"power": 0.5, "tau_s": 0.01},
         ),
         free={"tau_s": (0.005, 6.0), "back_s": (0.005, 6.0), "power": (0.2, 4.0)},
         as_plant=same_numbers(power="power"),
