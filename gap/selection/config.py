@@ -123,6 +123,9 @@ class SelectionConfig:
     """Candidates that are fitted at a step, best linear gain first. No other value was tried."""
     beside_alarms: float = 1.5
     """Least gain of such an effect, in alarms."""
+    beside_of_gap: float = 1e-4
+    """Least share of the gap of such an effect, unless it shows in channels of its own: no form is
+    exact to a hundredth of the first effect's size. A matter of definition."""
     beside_of_left: float = 0.3
     """Share of what is left from which it need not be visible. More effects found at once. Set on:
     sets 500 to 521 of the stream `several`, as is `beside_alarms`."""

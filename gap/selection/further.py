@@ -71,6 +71,8 @@ def is_further(step: StepStatistics, config: SelectionConfig = SELECTION) -> boo
     """Whether a further effect is no chance, and is visible or takes much of what is left."""
     if step.gain < config.beside_alarms * step.alarm:
         return False
+    if step.gain < config.beside_of_gap * step.gap and not step.own_channels:
+        return False
     return step.visibility > config.further_visibility or step.of_left > config.beside_of_left
 
 
