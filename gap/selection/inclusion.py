@@ -147,6 +147,9 @@ def is_included(s: StepStatistics, config: SelectionConfig = SELECTION) -> bool:
         return True
     if not (s.visibility > config.further_visibility or _needs_no_sight(s, config)):
         return False
+    # What corrects a form does not take all that is left and bring a constant back as well.
+    if s.frees and s.gain > max(config.all_gain, config.all_of_left * s.left):
+        return True
     return s.own_channels or _takes_fair_share(s, config)
 
 
