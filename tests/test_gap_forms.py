@@ -84,6 +84,22 @@ def test_a_gauge_that_swings_is_that_of_scipy_and_as_late_as_one_that_does_not(
         assert shown.max() > 1.05 * final
 
 
+@pytest.mark.parametrize(
+    ("name", "shape"), [("supply_droop", {"power": 2.0}), ("pressure_lag", {"damping": 0.4})]
+)
+def test_what_is_found_beside_a_stated_form_adds_to_it(
+    name: str, shape: Mapping[str, float]
+) -> None:
+    """A plain one beside it took the form away: the last one counted alone."""
+
+    def shown(active: Active) -> np.ndarray:
+        return chamber.parameters(C, active, C.supply_pa)
+
+    whole = shown([(name, "", 50.0, shape)])
+    for parts in ([(20.0, shape), (30.0, {})], [(30.0, {}), (20.0, shape)]):
+        assert shown([(name, "", a, s) for a, s in parts]) == pytest.approx(whole)
+
+
 def test_a_vessel_behind_an_orifice_takes_as_much_gas_as_one_beside_the_line() -> None:
     """In the end; and it is full at a moment, where one behind a thin tube never quite is."""
     pulse = [(0.06, 1), (0.07, 0)]  # choked throughout: the same gas comes in

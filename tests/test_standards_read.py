@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +77,7 @@ def test_a_gauge_beside_the_sensor_shows_what_the_sensor_is_off_by(tmp_path: Pat
     assert errors(read, "pressure_kpa") == pytest.approx(0.03 * true, abs=2.5)
     assert all(0.3 <= one.u < 0.5 for one in read)
     run = open_run(folder)
+    assert len([e for e in run.events if e["kind"] == "standard_reading"]) == len(read)
     assert (run.final or {})["outcome"] == "clean"
     assert findings(run) == ()
 
@@ -91,6 +93,36 @@ def test_a_bench_of_hidden_physics_shows_its_gauge_by_its_own_sensor(tmp_path: P
     assert errors(read, "pressure_kpa") == pytest.approx(expected, abs=1.0)
 
 
+def listened(bench: VirtualBench, heard: Callable[[Request], None]) -> None:
+    """Have `heard` called with whatever the person at a virtual bench is asked."""
+    make = bench.extras.operator
+
+    def person(*args: object) -> object:
+        found = make(*args)  # type: ignore[arg-type]
+        assert found is not None
+        begin = found.begin
+
+        def told(request: Request) -> None:
+            heard(request)
+            begin(request)
+
+        found.begin = told  # type: ignore[method-assign]
+        return found
+
+    bench.extras.operator = person  # type: ignore[method-assign, assignment]
+
+
+def test_a_gauge_is_put_on_and_taken_off_a_vented_line(tmp_path: Path) -> None:
+    config = load_rig("virtual")
+    bench = VirtualBench(config, VirtualClock())
+    at: list[tuple[str, float]] = []
+    listened(bench, lambda request: at.append((request.axis, bench.plant.pressure_kpa)))
+    read_standards(config, ("pressure_kpa",), tmp_path, bench=bench)
+    assert [axis for axis, _ in at] == ["gauge", *(["reference pressure"] * 9), "gauge"]
+    assert all(abs(kpa) < 2.0 for axis, kpa in at if axis == "gauge")
+    assert all(kpa > 50.0 for axis, kpa in at if axis != "gauge")
+
+
 def test_the_stage_moves_only_when_nothing_is_between_the_holders(tmp_path: Path) -> None:
     """A block of 70 mm was still in when it went to 53."""
     asked: list[str] = []
@@ -104,21 +136,7 @@ def test_the_stage_moves_only_when_nothing_is_between_the_holders(tmp_path: Path
         step(mm_s)
 
     bench.plant.set_length_rate = rate  # type: ignore[method-assign]
-    make = bench.extras.operator
-
-    def person(*args: object) -> object:
-        found = make(*args)  # type: ignore[arg-type]
-        assert found is not None
-        begin = found.begin
-
-        def heard(request: Request) -> None:
-            asked.append(request.axis)
-            begin(request)
-
-        found.begin = heard  # type: ignore[method-assign]
-        return found
-
-    bench.extras.operator = person  # type: ignore[method-assign, assignment]
+    listened(bench, lambda request: asked.append(request.axis))
     read_standards(config, BOTH, tmp_path, bench=bench)
     assert moved
     assert set(moved) == {"clear"}

@@ -44,8 +44,9 @@ SHA-256 of the answer is fixed before the first test. `pamrig gap investigate` k
 and the stated constants. It runs its tests over the bench's ports on a virtual clock, and stops
 when it can name the gap or has no test left. A name comes from the diagnosis (its status is then
 given), or it is the only family left after a later test agreed with its prediction (*predicted*;
-see [investigate](../use/investigate.md)). Where a gauge block would decide what no test does, the
-virtual bench's person sets it, and the hidden camera or holders show it. *Right*: exactly one
+see [investigate](../use/investigate.md)). Where a gauge block or a reference gauge would decide
+what no test does, the virtual bench's person sets or reads it, and the hidden instruments show it.
+*Right*: exactly one
 family is named, and it is the hidden one. *Not separable, confirmed*: the verdict offers a set that
 contains the hidden family (or finds no gap, but a stated value moved to the end of its tolerance)
 and names references that would decide, and by the generator's own measure one or two other entries

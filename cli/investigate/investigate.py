@@ -212,9 +212,6 @@ def _have_standards_read(
         report(f"  {running.rounds[-1].headline}")
 
 
-ASKS_FOR_STANDARDS = (Conclusion.NEEDS_REFERENCE, Conclusion.OPEN)
-
-
 @dataclass
 class _Running(SequentialVerdict):
     """An investigation under way: the tests so far, and what is known after them."""
@@ -333,7 +330,8 @@ class _Running(SequentialVerdict):
         So it is too where what fits best rests on an error of an instrument that nobody believes:
         one that reads right leaves the rest.
         """
-        if self.verdict is None or self.conclusion not in ASKS_FOR_STANDARDS:
+        undecided = (Conclusion.NEEDS_REFERENCE, Conclusion.OPEN)
+        if self.verdict is None or self.conclusion not in undecided:
             return ()
         had = {one.channel for one in self.standards}
         return tuple(

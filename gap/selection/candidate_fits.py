@@ -334,7 +334,7 @@ def with_second_shape(
     forms: dict[frozenset[str], int] = {}
     for j in at:
         forms.setdefault(frozenset(problem.candidates[j].shape), j)
-    fitted: FitResult | None = None
+    tried = []
     for j in list(forms.values())[: config.second_shapes]:
         second = problem.candidates[j]
         if second.search.either in fit.candidates[-1].shape:
@@ -342,9 +342,7 @@ def with_second_shape(
             shape = {**second.shape, either: fit.candidates[-1].shape[either]}
             second = replace(second, shape=shape)
         start = [*fit.amounts, linear.start(j)]
-        other = fit_shapes(problem, problem.fit([*fit.candidates, second], start, fit))
-        if fitted is None or other.cost < fitted.cost:
-            fitted = other
-    assert fitted is not None
+        tried.append(fit_shapes(problem, problem.fit([*fit.candidates, second], start, fit)))
+    fitted = min(tried, key=lambda one: one.cost)
     enough = fitted.cost < hypothesis.cost - config.second_shape_fitted
     return Hypothesis(hypothesis.keys, fitted) if enough else None

@@ -32,6 +32,7 @@ from rigs.devices.motion.stage import MotorStage
 from rigs.devices.operator import Request, at_a_terminal, request_done, request_number
 from rigs.execution.runner import Runner, Watch
 from rigs.rigfile.config import CAMERA, RigConfig, camera_values
+from rigs.steps.custom_step import Steps
 
 if TYPE_CHECKING:
     from rigs.virtual.bench import VirtualBench
@@ -122,9 +123,9 @@ def read_standards(
         def method() -> None:
             if GAUGE_CHANNEL in channels:
                 _read_gauge(rig, record, stop, watch, take)
-            rig.vent()
             if not lengths:
                 return
+            rig.vent()
             request(rig, "muscle off", 0.0, "mm", "take the muscle out")
             if CAMERA_CHANNEL in channels:
                 for length in _places(low, high, PLACES):
@@ -157,22 +158,33 @@ def _places(low: float, high: float, count: int) -> list[float]:
 def _read_gauge(rig: Rig, record: RecordWriter, stop: StopFlag, watch: Watch, take: Take) -> None:
     """Pressures that the bench makes, up and down, read by a person and by the board's sensor."""
     limits = rig.config.limits
-    request(rig, "gauge", 0.0, "kPa", "connect the reference gauge beside the pressure sensor")
+    rig.vent()  # nobody opens a line under pressure
+    request(
+        rig, "gauge", 0.0, "kPa",
+        "connect the reference gauge beside the pressure sensor and keep your hands off: the stage "
+        "may move, and the muscle is filled",
+    )  # fmt: skip
     if isinstance(rig.stage, MotorStage):
         short = limits.length_min_mm + GAUGED_AT * (limits.length_max_mm - limits.length_min_mm)
         rig.stage.set_value(round(short, 1))
     calibration = rig.config.calibrations[GAUGE_CHANNEL]
     asked = Request("reference pressure", math.nan, "kPa", "read the gauge in kPa and type it")
-    points: list[Point] = []
     pressures = up_and_down([round(share * limits.pressure_kpa) for share in PRESSURES])
-    steps = pressure_steps(
-        rig, record, pressures, GAUGED_S,
-        lambda: request_number(rig.operator, rig.event_loop, asked), points,
-    )  # fmt: skip
-    Runner(rig, record, stop, watch, camera_values(rig.config)).run(steps, len(pressures))
-    for point in points:
-        read = float(calibration.apply(point.raw))
-        take(GAUGE_CHANNEL, point.reference, read, abs(calibration.scale) * point.u_raw)
+
+    def read() -> float:
+        return request_number(rig.operator, rig.event_loop, asked)
+
+    def steps() -> Steps:
+        for pressure in pressures:
+            points: list[Point] = []
+            yield from pressure_steps(rig, record, [pressure], GAUGED_S, read, points)
+            for point in points:  # none where the sensor is at its end
+                shown = float(calibration.apply(point.raw))
+                take(GAUGE_CHANNEL, point.reference, shown, abs(calibration.scale) * point.u_raw)
+
+    Runner(rig, record, stop, watch, camera_values(rig.config)).run(steps(), len(pressures))
+    rig.vent()
+    request(rig, "gauge", 0.0, "kPa", "take the gauge off again: its volume counts as the line's")
 
 
 def _read_block(rig: Rig, record: RecordWriter, length: float, take: Take) -> None:

@@ -14,17 +14,17 @@ _LEAST = 0.02
 
 def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
     ratio = float(values["ratio"])
-    falls = -float(values["with_ratio"]) * (ratio - 1.0) / ratio
+    fading = -float(values["with_ratio"]) * (ratio - 1.0) / ratio
     if values["side"] == "inlet":
         nominal = c.inlet_conductance_m3_s_pa
-        return {layout.INLET_CONDUCTANCE: ratio * nominal, layout.RATIO: falls}
+        return {layout.INLET_CONDUCTANCE: ratio * nominal, layout.RATIO: fading}
     nominal = c.outlet_conductance_m3_s_pa
-    return {layout.OUTLET_CONDUCTANCE: ratio * nominal, layout.RATIO + 1: falls}
+    return {layout.OUTLET_CONDUCTANCE: ratio * nominal, layout.RATIO + 1: fading}
 
 
 def _stated(shape: Shape, values: Values, c: PlantConstants) -> Shape:
-    falls = float(values["with_ratio"])
-    return {"ratio": falls} if falls else {}
+    share = float(values["with_ratio"])
+    return {"ratio": share} if share else {}
 
 
 def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:

@@ -40,7 +40,8 @@ def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
     params[stage.DROOP] += amount * 1e3
     params[stage.DROOP_TIME] = shape.get("tau_s", 0.0)
     params[stage.DROOP_BACK] = shape.get("back_s", 0.0)
-    params[stage.DROOP_POWER] = shape.get("power", 0.0)
+    if "power" in shape:  # of a droop that is stated, whatever is found beside it
+        params[stage.DROOP_POWER] = shape["power"]
 
 
 def _stated(shape: Shape, values: Values, c: PlantConstants) -> Shape:

@@ -52,8 +52,8 @@ def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
     params[stage.LAG_BEFORE] += before * max(amount, 0.0) * 1e-3
     if "with_pressure" in shape:
         params[stage.LAG_WITH_PRESSURE] = shape["with_pressure"]
-    # The gas in a tube and the volume before the sensor swing: second order, late by as much.
-    params[stage.LAG_DAMPING] = shape.get("damping", 0.0)
+    if "damping" in shape:  # gas in a tube and before the sensor swings: second order, as late
+        params[stage.LAG_DAMPING] = shape["damping"]
 
 
 PRESSURE_LAG = Effect(
