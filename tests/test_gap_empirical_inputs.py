@@ -31,7 +31,7 @@ from gap.validation.empirical import empirical_term
 from gap.verdict import Status, Verdict
 from gap_bench import write_set
 from plant.constants import PlantConstants, nominal
-from plant.effects.empirical import INLET_FLOW, LATE, OUTLET_FLOW
+from plant.effects.empirical import EDGES_LATE, INLET_FLOW, LATE, OUTLET_FLOW
 
 Array = npt.NDArray[np.float64]
 NOISE_KPA = 0.4
@@ -147,6 +147,16 @@ def test_a_late_valve_is_one_with_a_longer_delay(valve_problem: FitProblem, scal
     expected = residual_of(valve_problem, later)
     assert np.abs(expected - residual_of(valve_problem, c)).max() > 1.0
     assert shown == pytest.approx(expected, abs=1e-6)
+
+
+def test_commands_that_all_act_late_are_four_longer_delays(valve_problem: FitProblem) -> None:
+    c = valve_problem.data.constants
+    count = len(valve_problem.grid.points["pressure"].time_s)
+    flow = Flow({EDGES_LATE: np.full(count, 3.0)})
+    shown = valve_problem.model.pressure_with_flow(flow, c, valve_problem.base.active)
+    fields = [f"{scale.removesuffix('_ms')}_s" for scale in LATE]
+    later = replace(c, **{field: getattr(c, field) + 3e-3 for field in fields})
+    assert shown == pytest.approx(residual_of(valve_problem, later), abs=1e-6)
 
 
 def test_a_flow_in_proportion_is_near_what_the_simulated_gas_does(

@@ -15,8 +15,9 @@ import pytest
 from gap.data.reader import read_dataset
 from gap.estimation.fit_problem import FitProblem
 from gap.validation.config import VALIDATION
-from gap.validation.empirical import _refitted, blocks_with_gap
+from gap.validation.empirical import _refitted, blocks_with_gap, empirical_term
 from gap.validation.terms.pieces import NO_FLOWS, Piece
+from gap.validation.terms.refit import within_walls
 from gap.validation.terms.search import TermSearch, search_of
 from gap_bench import write_set
 from plant.effects.empirical import FLOW, INLET_FLOW, Correction, Corrections, SplineTerm
@@ -56,6 +57,36 @@ def test_a_search_around_a_term_takes_what_it_does_as_it_is_there(tmp_path: Path
     assert again.errors([]) == pytest.approx(search.errors([]))
     coefficient = again.terms.coefficients(piece.at)
     assert coefficient == pytest.approx(found.beta, rel=0.1)
+
+
+def test_what_constants_do_beyond_their_tolerance_is_part_of_the_gap(tmp_path: Path) -> None:
+    """An inlet of 0.6 that may not be named: another conductance, 6 sd away, leaves no gap."""
+    folder = write_set(tmp_path / "data", {"flow_area": {"ratio": 0.6, "side": "inlet"}})
+    problem = FitProblem.of(read_dataset(folder))
+    assert np.abs(problem.base.shift).max() > 6.0
+    walled = within_walls(problem, problem.base)
+    assert np.abs(walled.shift).max() <= 3.0
+    assert walled.cost > 10.0 * problem.base.cost
+    # Nothing that is free to move would make it better.
+    inside = np.flatnonzero(np.abs(walled.shift) < 2.9)
+    for at in inside:
+        for step in (-0.02, 0.02):
+            shift = walled.shift.copy()
+            shift[at] += step
+            assert problem.cost_at(shift, (), np.empty(0)) > 0.9999 * walled.cost
+    search = search_of(problem, problem.base, "pressure", VALIDATION, walled=walled)
+    assert search is not None
+    assert search.gaps.sum() > 10.0 * search.floors.sum()
+    term = empirical_term(problem, problem.base, block="pressure")
+    assert term is not None
+    assert term.closed > 0.9
+    assert list(term.shares) == ["history"]
+
+
+def test_constants_within_their_tolerance_stay_where_the_fit_has_them(tmp_path: Path) -> None:
+    problem = FitProblem.of(read_dataset(write_set(tmp_path / "data", {})))
+    assert np.abs(problem.base.shift).max() < 3.0
+    assert within_walls(problem, problem.base) is problem.base
 
 
 class Told(TermSearch):

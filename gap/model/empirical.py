@@ -18,6 +18,7 @@ from plant.constants import REFERENCE_DENSITY_KG_M3, PlantConstants
 from plant.effects.arguments import Points
 from plant.effects.empirical import (
     FLOW,
+    EDGES_LATE,
     FLOWS,
     FORGOTTEN_S,
     INLET_FLOW,
@@ -84,7 +85,7 @@ class Flow:
         zero = np.zeros(len(points.time_s))
         own = {scale: self.of.get(scale, zero) for scale in FLOWS}
         whole = own[VALVE_FLOW]
-        late = [1e-3 * own[scale] for scale in LATE]
+        late = [1e-3 * (own[scale] + own[EDGES_LATE]) for scale in LATE]
         valves = np.stack([own[INLET_FLOW] + whole, own[OUTLET_FLOW] + whole, *late])
         per = pressure_per_flow(np.clip(points.length, 1e-4, 0.999 * c.braid_length_m), c)
         rate = 1e3 * own[FLOW] * per
@@ -165,7 +166,7 @@ def valve_flows(grid: Grid, c: PlantConstants) -> dict[str, Array]:
 
     ISO 6358 with the constants' conductances; out of the chamber a flow is negative. The flow of a
     valve is what passes while it is open by the constants' delays; that of `LATE` is what passes
-    more if it moves 1 ms later.
+    more if it moves 1 ms later, that of `EDGES_LATE` if all commands act 1 ms later.
     """
     through = _through(grid, c, 0.0)
     share = _open_shares(grid, c)
@@ -179,6 +180,7 @@ def valve_flows(grid: Grid, c: PlantConstants) -> dict[str, Array]:
         valve = which // 2
         later = _open_shares(grid, c, which, _LATER_S)[valve] - share[valve]
         made[scale] = np.asarray(later * through[valve] * 1e-3 / _LATER_S)
+    made[EDGES_LATE] = np.sum([made[scale] for scale in LATE], axis=0)
     return made
 
 

@@ -37,6 +37,7 @@ _SCALED = {
     "inlet_off_ms": "inlet shuts late, ms",
     "outlet_on_ms": "outlet opens late, ms",
     "outlet_off_ms": "outlet shuts late, ms",
+    "edges_ms": "all commands act late, ms",
 }
 _KINDS = {
     "": "an addition",
@@ -51,6 +52,7 @@ _KINDS = {
     "inlet_off_ms": "an inlet that shuts late or early",
     "outlet_on_ms": "an outlet that opens late or early",
     "outlet_off_ms": "an outlet that shuts late or early",
+    "edges_ms": "valves that all act late or early",
 }
 
 

@@ -21,7 +21,7 @@ from gap.validation.terms.held_out_terms import Whole
 from gap.validation.terms.pieces import (
     Piece,
 )
-from gap.validation.terms.refit import FittedTerm, TermColumns, fitted_with_term
+from gap.validation.terms.refit import FittedTerm, TermColumns, fitted_with_term, within_walls
 from gap.validation.terms.search import HALF, TermSearch, search_of
 from gap.verdict import EmpiricalTerm, NearEntry, TermCourse
 from plant.arrays import Array
@@ -59,23 +59,24 @@ def empirical_term(
         nearest: ids of entries of the catalogue to compare the term with.
         block: of features; by default the one with the largest gap of which a part closes.
     """
-    for name in [block] if block else blocks_with_gap(problem, fit):
-        found = _term_of(problem, fit, name, nearest, config)
+    walled = within_walls(problem, fit)
+    for name in [block] if block else blocks_with_gap(problem, walled):
+        found = _term_of(problem, fit, walled, name, nearest, config)
         if found is not None:
             return found
     return None
 
 
 def _term_of(
-    problem: FitProblem, fit: FitResult, block: str, nearest: Sequence[str],
+    problem: FitProblem, fit: FitResult, walled: FitResult, block: str, nearest: Sequence[str],
     config: ValidationConfig,
 ) -> EmpiricalTerm | None:  # fmt: skip
-    first = search_of(problem, fit, block, config)
+    first = search_of(problem, fit, block, config, walled=walled)
     if first is None:
         return None
     best: tuple[TermSearch, list[Piece], HeldOut] | None = None
     most = -np.inf
-    for _, search in _searches(problem, first):
+    for search in _searches(problem, first):
         chosen = search.select()
         held = _held_out(problem, search) if chosen else None
         closed = held.closed() if held is not None else None
@@ -87,7 +88,7 @@ def _term_of(
     return None if best is None else _stated(problem, fit, *best, nearest)
 
 
-def _searches(problem: FitProblem, first: TermSearch) -> Iterator[tuple[str, TermSearch]]:
+def _searches(problem: FitProblem, first: TermSearch) -> Iterator[TermSearch]:
     """Searches at the constants from which a term may be seen for what it is, likely ones first.
 
     A large gap may have led the constants so far astray that no fit with a term finds back: the
@@ -95,18 +96,18 @@ def _searches(problem: FitProblem, first: TermSearch) -> Iterator[tuple[str, Ter
     """
     back = _with_constants_back(problem, first)
     if back is not None:
-        yield "back", back
-    stated = problem.at(
-        np.zeros_like(first.fit.shift), first.fit.candidates, first.fit.amounts, first.fit
-    )
+        yield back
     if np.abs(first.fit.shift).max() > first.config.astray_sd:
-        start = search_of(problem, stated, first.block, first.config, first)
-        if start is not None:
-            from_stated = _with_constants_back(problem, start)
+        at = problem.at(
+            np.zeros_like(first.fit.shift), first.fit.candidates, first.fit.amounts, first.fit
+        )
+        stated = search_of(problem, at, first.block, first.config, first)
+        if stated is not None:
+            from_stated = _with_constants_back(problem, stated)
             if from_stated is not None:
-                yield "stated back", from_stated
-            yield "stated", start
-    yield "first", first
+                yield from_stated
+            yield stated
+    yield first
 
 
 def _closes(held: HeldOut, config: ValidationConfig) -> bool:

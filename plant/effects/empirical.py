@@ -18,7 +18,7 @@ error of the pressure in kPa or of the length in mm. With the scale "flow" its s
 in mg/s into the chamber, whose pressure it raises, with "valve_flow" a share of the flow of the
 valve that is open, with "inlet_flow" or "outlet_flow" of that one alone; with "inlet_on_ms",
 "inlet_off_ms", "outlet_on_ms" or "outlet_off_ms" the time in ms by which that valve opens or shuts
-later than its delay says. What a flow raised is forgotten with `FORGOTTEN_S`.
+later than its delay says, with "edges_ms" that by which both valves do both. What a flow raised is forgotten with `FORGOTTEN_S`.
 It says nothing of another bench.
 """
 
@@ -69,7 +69,9 @@ OUTLET_FLOW = "outlet_flow"
 """The same of the outlet."""
 LATE = ("inlet_on_ms", "inlet_off_ms", "outlet_on_ms", "outlet_off_ms")
 """Scales of a term of the pressure whose splines are ms by which a valve opens or shuts late."""
-FLOWS = (FLOW, VALVE_FLOW, INLET_FLOW, OUTLET_FLOW, *LATE)
+EDGES_LATE = "edges_ms"
+"""Scale of a term whose splines are ms by which all commands act late."""
+FLOWS = (FLOW, VALVE_FLOW, INLET_FLOW, OUTLET_FLOW, *LATE, EDGES_LATE)
 """Scales of terms that the simulated gas takes in."""
 SCALE_INPUTS: Mapping[str, tuple[str, ...]] = {
     "": (),

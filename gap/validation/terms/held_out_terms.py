@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import lsq_linear
 
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import gather, tolerance
@@ -46,6 +47,8 @@ class HeldOutTerms:
         stiffness, slope: prior of the constants.
         penalty: prior of the terms' coefficients, shape (terms, terms).
         slots: numbers of the slots with rows of the block.
+        room: least and most change of the constants without terms, shapes (constants,); None where
+            only their prior holds them.
     """
 
     constants: int
@@ -55,13 +58,19 @@ class HeldOutTerms:
     slope: Array
     penalty: Array
     slots: tuple[int, ...]
+    room: tuple[Array, Array] | None = None
     _reduced: dict[frozenset[int], _Reduced] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(
-        cls, problem: FitProblem, fit: FitResult, block: str, columns: Array, penalty: Array
-    ) -> HeldOutTerms:
-        """Gather the inner products; `columns` has one row a row of the block."""
+        cls, problem: FitProblem, fit: FitResult, block: str, columns: Array, penalty: Array,
+        within: float | None = None,
+    ) -> HeldOutTerms:  # fmt: skip
+        """Gather the inner products; `columns` has one row a row of the block.
+
+        Args:
+            within: sd that no constant moves beyond, whatever is left out.
+        """
         whole = np.zeros((len(problem.rows), columns.shape[1]))
         whole[problem.rows.block == BLOCKS.index(block)] = columns
         known = problem.columns_of(fit)
@@ -76,6 +85,7 @@ class HeldOutTerms:
         return cls(
             known.shape[1], evidence.gram, evidence.plain[block], np.r_[stiffness, loose],
             np.r_[slope, loose * fit.amounts], penalty, tuple(slots.tolist()),
+            None if within is None else _room(fit, within),
         )  # fmt: skip
 
     def coefficients(self, chosen: Whole, without: frozenset[int] = frozenset()) -> Array:
@@ -122,9 +132,25 @@ class HeldOutTerms:
             across[:, 0] -= self.slope
             even = inner / scale / scale[:, None] + 1e-12 * np.eye(n)
             taken = np.linalg.solve(even, across / scale[:, None]) / scale[:, None]
+            if self.room is not None:
+                taken[:, 0] = _bounded(even, across[:, 0] / scale, *(x * scale for x in self.room))
+                taken[:, 0] /= scale
             rest = gram[n:, n:] - gram[:n, n:].T @ taken
             self._reduced[left] = _Reduced(rest[1:, 1:], rest[1:, 0], taken)
         return self._reduced[left]
+
+
+def _room(fit: FitResult, within: float) -> tuple[Array, Array]:
+    """Change of constants and amounts that keeps the constants within so many sd."""
+    free = np.full(len(fit.amounts), np.inf)
+    return np.r_[-within - fit.shift, -free], np.r_[within - fit.shift, free]
+
+
+def _bounded(matrix: Array, right: Array, low: Array, high: Array) -> Array:
+    """Solution of normal equations between bounds."""
+    root = np.linalg.cholesky(matrix)
+    found = lsq_linear(root.T, np.linalg.solve(root, right), (low, high + 1e-9), method="bvls")
+    return np.asarray(found.x)
 
 
 def gain_and_errors(before: Array, after: Array) -> tuple[float, float]:

@@ -15,6 +15,7 @@ from gap.model.empirical import Flow, point_inputs_of, risen, valve_flows
 from gap.validation.terms.held_out_terms import Whole
 from plant.arrays import Array
 from plant.effects.empirical import (
+    EDGES_LATE,
     FLOW,
     FLOWS,
     INLET_FLOW,
@@ -60,7 +61,7 @@ _FLOWS = (
     (VALVE_FLOW, ("valve",)), (VALVE_FLOW, ("valve", "pressure_kpa")),
     (VALVE_FLOW, ("valve", "since_edge_s")), (VALVE_FLOW, ("valve", "time_s")),
     (VALVE_FLOW, ("valve", "order")),
-    *((late, own) for late in LATE
+    *((late, own) for late in (*LATE, EDGES_LATE)
       for own in ((), ("pressure_kpa",), ("time_s",), ("openings",), ("order",))),
     *((flow, own) for flow in (INLET_FLOW, OUTLET_FLOW)
       for own in ((), ("since_edge_s",), ("pressure_kpa",), ("time_s",), ("openings",))),

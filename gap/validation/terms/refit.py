@@ -9,7 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
+from gap.estimation.config import ESTIMATION
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import damped_step, tolerance
 from gap.model.features import BLOCKS
@@ -133,6 +135,55 @@ def fitted_with_term(
             break
         damping = max(damping / 10.0, 1e-9)
     return FittedTerm(state, left, beta, cost)
+
+
+def within_walls(problem: FitProblem, fit: FitResult) -> FitResult:
+    """The fit with no constant beyond its tolerance; itself where none is.
+
+    Millions of readings move a constant as far as they like. What it does out there is part of the
+    gap: a plant of which nobody states such a constant has not been recalibrated by it.
+    """
+    if not beyond_wall(fit.shift).any():
+        return fit
+    wall = ESTIMATION.tolerance_sd
+    # Clipped constants no longer go together; those that are stated do.
+    starts = (np.clip(fit.shift, -wall, wall), np.zeros_like(fit.shift))
+    found = (_descended_within(problem, fit, start, wall) for start in starts)
+    return min(found, key=lambda one: one.cost)
+
+
+def _descended_within(problem: FitProblem, fit: FitResult, start: Array, wall: float) -> FitResult:
+    """The least that is reached from `start` with every constant inside the walls."""
+    n = len(problem.names)
+    state = problem.at(start, fit.candidates, fit.amounts, fit)
+    damping = _FIRST_DAMPING
+    normal: tuple[Array, Array] | None = None
+    for _ in range(_ROUNDS):
+        if normal is None:
+            normal = problem.normal(problem.columns_of(state), state.residual, state.shift)
+        matrix, right = normal
+        outwards = np.sign(right[:n]) * state.shift >= wall
+        free = np.r_[~outwards, np.ones(len(state.amounts), dtype=bool)]
+        step = np.zeros(len(free))
+        step[free] = damped_step(matrix[np.ix_(free, free)], right[free], damping)
+        there = np.clip(state.shift + step[:n], -wall, wall)
+        trial = problem.at(there, state.candidates, state.amounts + step[n:], fit)
+        if not trial.cost < state.cost:
+            damping = max(damping, 1e-4) * 8.0
+            continue
+        gain, state, normal = state.cost - trial.cost, trial, None
+        if gain < _ENOUGH and damping < 1e-4:
+            break
+        damping = max(damping / 10.0, 1e-9)
+    return state
+
+
+def beyond_wall(shift: Array) -> npt.NDArray[np.bool_]:
+    """Which constants stand beyond their tolerance by more than a wall that gives way lets them."""
+    return np.asarray(np.abs(shift) > ESTIMATION.tolerance_sd + _GIVES_WAY_SD)
+
+
+_GIVES_WAY_SD = 0.1
 
 
 def _cost(problem: FitProblem, fit: FitResult, left: Array, penalty: Array, beta: Array) -> float:

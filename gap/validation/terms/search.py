@@ -13,6 +13,7 @@ from math import factorial
 
 import numpy as np
 
+from gap.estimation.config import ESTIMATION
 from gap.estimation.cross_validation import floor_squares
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.empirical import inputs_of, scales_of
@@ -206,10 +207,13 @@ class TermSearch:
 def search_of(
     problem: FitProblem, fit: FitResult, block: str, config: ValidationConfig,
     first: TermSearch | None = None, known: tuple[Whole, FittedTerm] | None = None,
+    walled: FitResult | None = None,
 ) -> TermSearch | None:  # fmt: skip
     """Pieces and sums for one block; None where too few slots have it or it shows no gap.
 
     Args:
+        walled: the fit with every constant inside its tolerance, where `fit` may be beyond: the
+            gap is what that leaves.
         first: the search at the recalibrated plant, where `fit` is another.
         known: a term that `fit` was fitted with: numbers of its columns, and the fit. What it does
             is taken as it is there: simulated gas does not take in a flow in proportion.
@@ -253,9 +257,15 @@ def search_of(
         return None
     if first is not None:
         return replace(first, fit=fit, pieces=pieces, basis=columns, flows=flows, terms=terms)
-    base = terms.errors(np.empty(0, dtype=np.int64))
+    plain = terms
+    if walled is not None and walled is not fit:
+        none = np.empty((count, 0))
+        plain = HeldOutTerms.of(
+            problem, walled, block, none, np.empty((0, 0)), ESTIMATION.tolerance_sd
+        )
+    base = plain.errors(np.empty(0, dtype=np.int64))
     floor = floor_squares(problem, problem.units)[block][list(terms.slots)]
-    made = TermSearch(block, fit, pieces, columns, flows, terms, terms, base - floor, floor, config)
+    made = TermSearch(block, fit, pieces, columns, flows, terms, plain, base - floor, floor, config)
     return made if made.gaps.sum() > 0.0 else None
 
 
