@@ -17,8 +17,8 @@ from plant.compiled import entry_point, fingerprint
 from plant.constants import REFERENCE_DENSITY_KG_M3, PlantConstants
 from plant.effects.arguments import Points
 from plant.effects.empirical import (
-    FLOW,
     EDGES_LATE,
+    FLOW,
     FLOWS,
     FORGOTTEN_S,
     INLET_FLOW,

@@ -18,8 +18,8 @@ error of the pressure in kPa or of the length in mm. With the scale "flow" its s
 in mg/s into the chamber, whose pressure it raises, with "valve_flow" a share of the flow of the
 valve that is open, with "inlet_flow" or "outlet_flow" of that one alone; with "inlet_on_ms",
 "inlet_off_ms", "outlet_on_ms" or "outlet_off_ms" the time in ms by which that valve opens or shuts
-later than its delay says, with "edges_ms" that by which both valves do both. What a flow raised is forgotten with `FORGOTTEN_S`.
-It says nothing of another bench.
+later than its delay says, with "edges_ms" that by which both valves do both. What a flow raised is
+forgotten with `FORGOTTEN_S`. It says nothing of another bench.
 """
 
 from __future__ import annotations
