@@ -98,6 +98,20 @@ def test_a_name_of_two_families_is_put_to_the_proof_that_it_takes_both() -> None
     assert standing.settled
 
 
+def test_a_fault_leaves_a_name_of_two_families_open_that_no_test_has_proved() -> None:
+    """Withheld bench 977: an outlet of 0.4, and the board stopped the tests at a slow vent."""
+    ended = "vent_failed: vented, but the pressure did not fall in time"
+    two = verdict_with("named_form_inadequate", ("flow_area+dead_volume",))
+    standing = SequentialVerdict(verdict=two, ended=ended)
+    assert (standing.conclusion, standing.named) == ("open", None)
+    assert "a fault ended the investigation" in conclusion_text(standing)
+    one = SequentialVerdict(verdict=verdict_with("named", ("flow_area",)), ended=ended)
+    assert (one.conclusion, one.named) == ("named", "flow")
+    key = joint(families(("flow_area", "dead_volume")))
+    standing.predicted[key] = [("step", predicted(9e3, 420.0, 6e3, "flow_area"))]
+    assert standing.conclusion == "named"
+
+
 def test_of_several_families_those_are_named_that_a_test_needed() -> None:
     """A droop was named with a pressure gain that every test did as well without."""
     standing = SequentialVerdict(verdict=verdict_with("named", ("wear+creep",)))

@@ -225,7 +225,6 @@ class _Running(SequentialVerdict):
     standards: list[StandardReading] = field(default_factory=list)
     problem: FitProblem | None = None
     search: SearchResult | None = None
-    ended: str | None = None
     _margins: Array | None = None
 
     def next(self, left: list[Test], again: list[Test]) -> tuple[Test, str] | None:

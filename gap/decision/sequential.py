@@ -37,6 +37,8 @@ class SequentialVerdict:
     (`gap.decision.at_bound`), with the gain."""
     predicted: dict[str, list[tuple[str, Prediction]]] = field(default_factory=dict)
     """By family, tests that show what was found before them, and how it fared on each."""
+    ended: str | None = None
+    """The fault that ended the sequence before the tests that were left; None without one."""
 
     @property
     def family(self) -> str | None:
@@ -170,12 +172,22 @@ class SequentialVerdict:
         return low is None or low <= DECISION.closed_share
 
     @property
+    def cut_short(self) -> bool:
+        """Whether a fault ended the tests before one could prove a name of several families.
+
+        With a blocked exhaust the board reports that the muscle does not vent, and no test follows.
+        """
+        return self.ended is not None and not self.settled
+
+    @property
     def conclusion(self) -> Conclusion:
         """The conclusion that the tests so far allow."""
         assert self.verdict is not None
         status = self.verdict.status
-        if status in NAMED or self.confirmed is not None or self.by_standard:
+        if self.confirmed is not None or self.by_standard:
             return Conclusion.NAMED
+        if status in NAMED:
+            return Conclusion.OPEN if self.cut_short else Conclusion.NAMED
         if status in ALIKE and (len(self.verdict.effects) > 1 or self.apart_by_reference):
             return Conclusion.NEEDS_REFERENCE
         if status == Status.NO_GAP_ABOVE_FLOOR:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from gap.decision.sequential import SequentialVerdict
+from gap.decision.sequential import NAMED, SequentialVerdict
 from gap.design.config import DESIGN
 from gap.reason import PARTS, Cause
 from gap.verdict import Estimate, Experiment, Status, Verdict
@@ -251,6 +251,12 @@ def conclusion_text(found: SequentialVerdict) -> str:
         )
     if found.by_standard:
         return headline(found.verdict)
+    if found.verdict.status in NAMED and found.cut_short:
+        names = " and ".join(found.verdict.effects[0].ids)
+        return sentence(
+            f"{names} fit the tests that were made, but none of them needed all of it, and a fault "
+            "ended the investigation before another could"
+        )
     if found.confirmed is None:
         apart = found.apart_by_reference
         others = [name for name in apart if name not in found.verdict.effects[0].ids]
