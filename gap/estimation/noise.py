@@ -243,14 +243,17 @@ def _roughness(residual: Array, rows: Rows, here: npt.NDArray[np.bool_]) -> floa
 def at_equal_inputs(rows: Rows, one: Whole, other: Whole, alike: Array) -> npt.NDArray[np.bool_]:
     """Whether rows of forces and loads were taken at equal conditions; True for other rows.
 
+    A force is that at a held length. Where a load hangs at the same pressure differs by its scatter
+    alone.
+
     Args:
         one, other: rows that are compared, of equal blocks.
         alike: `gap.model.grid.same_conditions`.
     """
     pressure = np.abs(rows.pressure[one] - rows.pressure[other])
     length = np.abs(rows.length[one] - rows.length[other])
-    forces = np.isin(rows.block[one], [BLOCKS.index(name) for name in ("force", "load")])
-    return np.asarray(~forces | ((pressure <= alike[0]) & (length <= alike[1])))
+    held, hung = (rows.block[one] == BLOCKS.index(name) for name in ("force", "load"))
+    return np.asarray((~held & ~hung) | ((pressure <= alike[0]) & (hung | (length <= alike[1]))))
 
 
 class _Pair:

@@ -430,12 +430,13 @@ def _assign(
     """Give every point of a piece its bin; replicates share the bins of their slot.
 
     Settled points share a bin where their conditions differ by less than `alike`: in Pa, m and
-    direction.
+    direction. The length of a hung load is no condition: at one pressure it is what comes out.
     """
     t = piece.time_s
     key = (trial.slot, block)
     if piece.settled:  # a slot may have trials with a time axis beside: those are no replicates
-        condition = np.stack([piece.pressure, piece.length, piece.direction], axis=1)
+        at = piece.length if block != "load" else np.zeros_like(piece.length)
+        condition = np.stack([piece.pressure, at, piece.direction], axis=1)
         known = ends.get((trial.slot, f"{block} settled"), np.empty((0, 3)))
         found, known = bins.matched(condition, known, alike)
         ends[trial.slot, f"{block} settled"] = known
