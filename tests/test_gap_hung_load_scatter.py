@@ -1,8 +1,8 @@
 """Settled points of a hung load: at one pressure, where it hangs is what comes out.
 
-On a withheld bench (983) a load swung, and lengths at one pressure differed by half a millimetre and more
-between replicates. They counted as other conditions, the scatter as a gap, and half of it stayed
-without a name. Now the extra mass is named.
+On a withheld bench (983) a load swung, and lengths at one pressure differed by half a millimetre
+and more between replicates. They counted as other conditions, the scatter as a gap, and half of it
+stayed without a name. Now the extra mass is named.
 """
 
 from __future__ import annotations
