@@ -37,6 +37,17 @@ def test_what_a_standard_shows_is_named_though_the_rest_is_open() -> None:
     assert SequentialVerdict(verdict=none).conclusion == "needs reference"
 
 
+def test_of_a_gap_that_nothing_fits_for_sure_the_instruments_are_checked_first() -> None:
+    """Withheld bench 996: a camera's scale of 0.5 %, unknown for a trace of an end cap."""
+    left = verdict_with("unknown", ("camera_distortion", "end_cap+camera_scale"))
+    standing = SequentialVerdict(verdict=left)
+    assert (standing.conclusion, standing.references) == ("open", {})
+    assert standing.doubted == ("camera_distortion", "end_cap", "camera_scale")
+    alike = SequentialVerdict(verdict=verdict_with("indistinguishable", ("end_cap", "creep")))
+    assert alike.doubted == ("end_cap", "creep")
+    assert SequentialVerdict(verdict=verdict_with("named", ("camera_scale",))).doubted == ()
+
+
 @pytest.mark.parametrize(
     ("effects", "tests", "conclusion"),
     [

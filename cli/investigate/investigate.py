@@ -326,8 +326,8 @@ class _Running(SequentialVerdict):
     def wanted_standards(self) -> tuple[str, ...]:
         """Channels that should read a standard, as nothing else decides, and have not yet.
 
-        So it is too where what fits best rests on an error of an instrument that nobody believes:
-        one that reads right leaves the rest.
+        So it is too where what fits best rests on an error of an instrument that nobody believes,
+        or nothing fits for sure: one that reads right leaves the rest.
         """
         undecided = (Conclusion.NEEDS_REFERENCE, Conclusion.OPEN)
         if self.verdict is None or self.conclusion not in undecided:
@@ -336,7 +336,7 @@ class _Running(SequentialVerdict):
         return tuple(
             channel
             for channel in readable_standards(self.config)
-            if channel not in had and set(ERRORS_OF[channel]) & set(self.references)
+            if channel not in had and set(ERRORS_OF[channel]) & set(self.doubted)
         )
 
     def take_standards(
@@ -344,7 +344,7 @@ class _Running(SequentialVerdict):
     ) -> None:
         """Take in what the instruments read of standards, and diagnose the tests with it."""
         between = " or ".join(
-            n for n in self.references if any(n in ERRORS_OF[c] for c in channels)
+            n for n in self.doubted if any(n in ERRORS_OF[c] for c in channels)
         )
         self.standards += read
         self.search = None  # no test is new: none is to be predicted

@@ -227,6 +227,18 @@ class SequentialVerdict:
             names |= dict.fromkeys(self.apart_by_reference)
         return {name: reference_for(name) for name in names}
 
+    @property
+    def doubted(self) -> tuple[str, ...]:
+        """Effects of which a reference standard may show or rule out those of an instrument.
+
+        Those that need a reference; and of a gap that fits nothing in the catalogue for sure, all
+        that are left: an instrument is looked at before something new is.
+        """
+        names = dict.fromkeys(self.references)
+        if self.verdict is not None and self.verdict.status == Status.UNKNOWN:
+            names |= dict.fromkeys(name for ids in self._entry_ids for name in ids)
+        return tuple(names)
+
 
 def joint(several: frozenset[str]) -> str:
     """One word for families that act together."""
