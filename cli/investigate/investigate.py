@@ -343,9 +343,7 @@ class _Running(SequentialVerdict):
         self, channels: Sequence[str], read: Sequence[StandardReading], record: Path
     ) -> None:
         """Take in what the instruments read of standards, and diagnose the tests with it."""
-        between = " or ".join(
-            n for n in self.doubted if any(n in ERRORS_OF[c] for c in channels)
-        )
+        between = " or ".join(n for n in self.doubted if any(n in ERRORS_OF[c] for c in channels))
         self.standards += read
         self.search = None  # no test is new: none is to be predicted
         self._diagnose()
