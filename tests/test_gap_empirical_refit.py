@@ -67,13 +67,9 @@ def test_what_constants_do_beyond_their_tolerance_is_part_of_the_gap(tmp_path: P
     walled = within_walls(problem, problem.base)
     assert np.abs(walled.shift).max() <= 3.0
     assert walled.cost > 10.0 * problem.base.cost
-    # Nothing that is free to move would make it better.
-    inside = np.flatnonzero(np.abs(walled.shift) < 2.9)
-    for at in inside:
-        for step in (-0.02, 0.02):
-            shift = walled.shift.copy()
-            shift[at] += step
-            assert problem.cost_at(shift, (), np.empty(0)) > 0.9999 * walled.cost
+    # Better than constants cut off at their walls, and than those that are stated.
+    for at in (np.clip(problem.base.shift, -3.0, 3.0), np.zeros_like(problem.base.shift)):
+        assert walled.cost < 0.5 * problem.cost_at(at, (), np.empty(0))
     search = search_of(problem, problem.base, "pressure", VALIDATION, walled=walled)
     assert search is not None
     assert search.gaps.sum() > 10.0 * search.floors.sum()
