@@ -17,7 +17,7 @@ import numpy.typing as npt
 from gap.effects.candidates import CANDIDATES
 from gap.estimation.config import ESTIMATION
 from gap.model.features import BLOCKS, Rows
-from gap.model.grid import same_conditions
+from gap.model.grid import FIRST_SETTLED, same_conditions
 from gap.model.residuals import Model
 from gap.model.sensitivities import (
     UNSEEN_GAS,
@@ -243,8 +243,8 @@ def _roughness(residual: Array, rows: Rows, here: npt.NDArray[np.bool_]) -> floa
 def at_equal_inputs(rows: Rows, one: Whole, other: Whole, alike: Array) -> npt.NDArray[np.bool_]:
     """Whether rows of forces and loads were taken at equal conditions; True for other rows.
 
-    A force is that at a held length. Where a load hangs at the same pressure differs by its scatter
-    alone.
+    A force is that at a held length. Where a load comes to rest at the same pressure differs by its
+    scatter alone; on its way there it may be anywhere.
 
     Args:
         one, other: rows that are compared, of equal blocks.
@@ -253,7 +253,8 @@ def at_equal_inputs(rows: Rows, one: Whole, other: Whole, alike: Array) -> npt.N
     pressure = np.abs(rows.pressure[one] - rows.pressure[other])
     length = np.abs(rows.length[one] - rows.length[other])
     held, hung = (rows.block[one] == BLOCKS.index(name) for name in ("force", "load"))
-    return np.asarray((~held & ~hung) | ((pressure <= alike[0]) & (hung | (length <= alike[1]))))
+    rests = hung & (rows.bin[one] >= FIRST_SETTLED)
+    return np.asarray((~held & ~hung) | ((pressure <= alike[0]) & (rests | (length <= alike[1]))))
 
 
 class _Pair:

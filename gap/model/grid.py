@@ -418,7 +418,7 @@ _CLIPPED_SHARE = 0.05
 """Share of readings at the end of the instrument's range from which a mean counts for nothing."""
 _SHAPE = 0.3
 """Part of the doubt about unseen gas that need not be the same throughout a trial."""
-_FIRST_SETTLED = 500_000
+FIRST_SETTLED = 500_000
 """Number of the first bin of settled points, beyond all bins in time."""
 _MOST = {"pressure": 320, "force": 240, "load": 160, "camera": 12}
 
@@ -440,7 +440,7 @@ def _assign(
         known = ends.get((trial.slot, f"{block} settled"), np.empty((0, 3)))
         found, known = bins.matched(condition, known, alike)
         ends[trial.slot, f"{block} settled"] = known
-        piece.bin = found + _FIRST_SETTLED
+        piece.bin = found + FIRST_SETTLED
         return
     turns = np.empty(0)
     swing = piece.length if moving(piece.length) else piece.pressure
