@@ -254,8 +254,8 @@ def conclusion_text(found: SequentialVerdict) -> str:
     if found.verdict.status in NAMED and found.cut_short:
         names = " and ".join(found.verdict.effects[0].ids)
         return sentence(
-            f"{names} fit the tests that were made, but none of them needed all of it, and a fault "
-            "ended the investigation before another could"
+            f"{names} together fit the tests that were made, but no test has needed each of them, "
+            "and a fault ended the investigation"
         )
     if found.confirmed is None:
         apart = found.apart_by_reference

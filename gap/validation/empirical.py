@@ -18,9 +18,7 @@ from gap.model.features import BLOCKS, UNITS
 from gap.validation.config import VALIDATION, ValidationConfig
 from gap.validation.expression import compact_expression
 from gap.validation.terms.held_out_terms import Whole
-from gap.validation.terms.pieces import (
-    Piece,
-)
+from gap.validation.terms.pieces import Piece
 from gap.validation.terms.refit import FittedTerm, TermColumns, fitted_with_term, within_walls
 from gap.validation.terms.search import HALF, TermSearch, search_of
 from gap.verdict import EmpiricalTerm, NearEntry, TermCourse

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from gap.estimation.config import ESTIMATION
 from gap.estimation.fit_problem import FitProblem, FitResult
@@ -143,9 +142,9 @@ def within_walls(problem: FitProblem, fit: FitResult) -> FitResult:
     Millions of readings move a constant as far as they like. What it does out there is part of the
     gap: a plant of which nobody states such a constant has not been recalibrated by it.
     """
-    if not beyond_wall(fit.shift).any():
-        return fit
     wall = ESTIMATION.tolerance_sd
+    if np.abs(fit.shift).max(initial=0.0) <= wall + _GIVES_WAY_SD:
+        return fit
     # Clipped constants no longer go together; those that are stated do.
     starts = (np.clip(fit.shift, -wall, wall), np.zeros_like(fit.shift))
     found = (_descended_within(problem, fit, start, wall) for start in starts)
@@ -178,12 +177,9 @@ def _descended_within(problem: FitProblem, fit: FitResult, start: Array, wall: f
     return state
 
 
-def beyond_wall(shift: Array) -> npt.NDArray[np.bool_]:
-    """Which constants stand beyond their tolerance by more than a wall that gives way lets them."""
-    return np.asarray(np.abs(shift) > ESTIMATION.tolerance_sd + _GIVES_WAY_SD)
-
-
 _GIVES_WAY_SD = 0.1
+"""Sd by which a wall gives way to a constant that ordinary data push against it: its cost there is
+1, that of chance (`ESTIMATION.beyond_weight`)."""
 
 
 def _cost(problem: FitProblem, fit: FitResult, left: Array, penalty: Array, beta: Array) -> float:
