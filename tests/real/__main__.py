@@ -275,6 +275,7 @@ def main() -> int:
     if not options.data.is_dir():
         parser.error(f"{options.data}: no such folder")
     outcomes: list[Outcome] = []
+    missing = False
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(scratch)
         studies = (
@@ -284,13 +285,16 @@ def main() -> int:
             folder = laid_out(options.data.resolve(), name, work)
             if folder is None:
                 print(f"{options.data / name}: not there, left out", flush=True)
+                missing = True
                 continue
             outcomes += study(folder)
         outcomes += thesis(work)
     for outcome in outcomes:
         print(f"{'agrees ' if outcome.agrees else 'DIFFERS'} {outcome.name}: "
               f"{outcome.verdict['status']}")  # fmt: skip
-    if options.page is not None:
+    if options.page is not None and missing:
+        print(f"{options.page}: left as it is, as not all data are there")
+    elif options.page is not None:
         options.page.write_text(page(outcomes), encoding="utf-8")
     return 0 if all(outcome.agrees for outcome in outcomes) else 1
 
