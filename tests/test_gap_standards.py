@@ -109,12 +109,17 @@ def test_a_scale_that_bends_is_stated_as_it_bends(off: float) -> None:
         assert found.shown == ("pressure_gain",)
 
 
-@given(st.integers(0, 10_000), st.floats(-5.0, 5.0))
-def test_a_straight_scale_that_is_read_with_scatter_does_not_bend(seed: int, gain: float) -> None:
-    scatter = np.random.default_rng(seed).normal(0.0, 0.3, len(GAUGED))
-    true_off = gain / 100.0 * GAUGED + scatter
-    found = check_standards(data_with(readings("pressure_kpa", GAUGED, true_off, 0.3)))
-    assert not bends(found)
+def test_a_straight_scale_that_is_read_with_scatter_bends_by_chance_alone() -> None:
+    """A number more must be worth 9 in chi-square, which chance makes in three of a thousand.
+
+    That it never bends cannot be asked: scatter of seed 688 at a gain of 1 % does look like a power.
+    """
+    bent = 0
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        true_off = rng.uniform(-0.05, 0.05) * GAUGED + rng.normal(0.0, 0.3, len(GAUGED))
+        bent += bends(check_standards(data_with(readings("pressure_kpa", GAUGED, true_off, 0.3))))
+    assert bent <= 2  # at three of a thousand, three or more of a hundred come in 0.4 %
 
 
 @pytest.mark.parametrize("channel", sorted(ERRORS_OF))
