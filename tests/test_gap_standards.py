@@ -112,7 +112,7 @@ def test_a_scale_that_bends_is_stated_as_it_bends(off: float) -> None:
 def test_a_straight_scale_that_is_read_with_scatter_bends_by_chance_alone() -> None:
     """A number more must be worth 9 in chi-square, which chance makes in three of a thousand.
 
-    That it never bends cannot be asked: scatter of seed 688 at a gain of 1 % does look like a power.
+    That it never bends cannot be asked: scatter of seed 688 at a gain of 1 % looks like a power.
     """
     bent = 0
     for seed in range(100):
