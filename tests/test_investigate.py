@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -78,8 +79,10 @@ def test_made_again_every_test_of_a_survey_is_at_settings_of_its_own() -> None:
 def test_valves_are_tried_again_with_a_short_and_with_a_long_muscle() -> None:
     """What stores gas beside the muscle counts for less where the muscle holds more."""
     config = load_rig("virtual-instruments")
-    (usual,) = (t.settings["length_mm"] for t in battery(config) if t.protocol == "step")
-    short, long = (t.settings["length_mm"] for t in battery(config, True) if t.protocol == "step")
+    (usual,) = (t.settings["length_mm"] for t in battery(config) if t.kind == ("step", False))
+    short, long = (
+        t.settings["length_mm"] for t in battery(config, True) if t.kind == ("step", False)
+    )
     assert short < usual - 5.0
     assert long > usual + 5.0
 
@@ -89,6 +92,7 @@ def test_valves_are_tried_again_with_a_short_and_with_a_long_muscle() -> None:
     [
         ("isotonic", "pressures up and down under two loads", "pressures under two loads"),
         ("isometric", "a minute at each of two pressures: ...", "a minute at each"),
+        ("step", "the chamber shut for half a minute at two pressures", "a chamber that is shut"),
         ("hysteresis", "cycles up and down at two lengths", "pressures at three lengths"),
         ("reference", "", "pressures at three lengths"),
     ],
@@ -97,7 +101,11 @@ def test_what_is_advised_is_run_next_and_otherwise_the_next_of_the_list(
     protocol: str, why: str, expected: str, tmp_path: Path
 ) -> None:
     left, again = battery(load_rig("virtual")), battery(load_rig("virtual"), again=True)
-    settings = {"measure": {"seconds": 60.0}} if why.startswith("a minute") else {}
+    settings: dict[str, Any] = {}
+    if why.startswith("a minute"):
+        settings = {"measure": {"seconds": 60.0}}
+    elif "shut" in why:
+        settings = {"schemes": ["two"], "step_s": 30.0}
     experiment = Experiment(protocol, settings, 1.0, 4.0, 2, ("a", "b"), why)
     running = loop._Running(load_rig("virtual"), tmp_path, None)
     running.verdict = Verdict(

@@ -51,6 +51,8 @@ if TYPE_CHECKING:
 
 VALVE_TESTS = ("step",)
 """Tests whose valve commands are diagnosed: elsewhere a loop only holds a pressure."""
+VALVES_MOVING = ("step", False)
+"""The kind of those that move valves all the time."""
 Report = Callable[[str], None]
 
 
@@ -232,7 +234,7 @@ class _Running(SequentialVerdict):
         verdict = self.verdict
         repeated = None
         if self._shows_valves_alone(left):
-            repeated = self._repeated_test([t for t in again if t.protocol in VALVE_TESTS], -np.inf)
+            repeated = self._repeated_test([t for t in again if t.kind == VALVES_MOVING], -np.inf)
         if repeated is None and self._nearly_certain:
             repeated = self._repeated_test(again)
         if repeated is not None:
@@ -266,7 +268,7 @@ class _Running(SequentialVerdict):
 
     def _shows_valves_alone(self, left: list[Test]) -> bool:
         """Whether what was found shows where valves act, and no test left looks there."""
-        if self.search is None or any(test.protocol in VALVE_TESTS for test in left):
+        if self.search is None or any(test.kind == VALVES_MOVING for test in left):
             return False
         blocks = {b for candidate in self.search.best.fit.candidates for b in candidate.blocks}
         return blocks == {"pressure"}

@@ -27,13 +27,18 @@ class Test:
 
     @property
     def kind(self) -> tuple[str, bool]:
-        """The protocol, and whether it holds each setting for a minute."""
-        return self.protocol, "measure" in self.settings
+        """The protocol, and whether it holds each setting for long."""
+        return self.protocol, _held_long(self.settings)
 
     def answers(self, protocol: str, settings: Mapping[str, Any]) -> bool:
         """Whether an advised experiment is this one."""
-        held = "measure" in settings
+        held = _held_long(settings)
         return (protocol, held) == self.kind or (protocol in self.also and not held)
+
+
+def _held_long(settings: Mapping[str, Any]) -> bool:
+    """Whether each setting is held for long, so that what is slow shows: creep, a leak."""
+    return "measure" in settings or settings.get("step_s", 0.0) >= INVESTIGATION.shut_s
 
 
 @dataclass(frozen=True)
@@ -62,7 +67,8 @@ _AGAIN = _Settings(
 def battery(config: RigConfig, again: bool = False) -> list[Test]:
     """All tests that this rig can run, in the order in which they are run unless advised.
 
-    Muscle and sensors at rest; valves and gas; a length that moves; loads; a hold; warmth.
+    Muscle and sensors at rest; valves and gas; a length that moves; loads; a hold; warmth; and a
+    chamber that is shut, as a loop that holds its pressure hides a leak.
     `again` gives the same tests at other pressures, lengths, loads and speeds; that of the valves
     twice, with a short and with a long muscle.
     """
@@ -86,7 +92,8 @@ def battery(config: RigConfig, again: bool = False) -> list[Test]:
             also=("hysteresis",),
         )
     ]  # fmt: skip
-    if not regulated and config.valve.static_scheme != "reg":
+    with_valves = not regulated and config.valve.static_scheme != "reg"
+    if with_valves:
         steps = [pressures[2], pressures[4], pressures[1], pressures[3], pressures[0]]
         # Short and long, as the muscle's own volume tells gas that flows from gas that is stored.
         made += [
@@ -114,6 +121,13 @@ def battery(config: RigConfig, again: bool = False) -> list[Test]:
              "measure": {"seconds": INVESTIGATION.hold_s}},
         ),
     ]  # fmt: skip
+    if with_valves:
+        made.append(Test(
+            "step", "a chamber that is shut, at two pressures",
+            {"schemes": ["two"], "pressures_kpa": moved, "step_s": INVESTIGATION.shut_s,
+             "supply_kpa": config.limits.pressure_kpa, "length_mm": lengths[1],
+             "repeats": repeats},
+        ))  # fmt: skip
     if "thermometer" in config.instruments.text:
         room = round(config.conditions.temperature_c, 0)
         made.append(Test(

@@ -31,6 +31,8 @@ RATES = {"regulated": (20.0, 10.0, 10.0), "valves": (500.0, 80.0, 50.0)}
 """Samples a second of pressure, force and pictures where the data set does not say."""
 STAGE_MM_S = 3.0
 DWELL_S = 3.0
+SHUT_S = 30.0
+"""Time for which a chamber is shut at each pressure, in which a leak shows."""
 SETTING_UP_S = 20.0
 
 
@@ -120,6 +122,11 @@ def library_experiments(problem: FitProblem, best: FitResult) -> list[LibraryExp
             "step", "small steps in short bursts",
             {"schemes": ["burst"], "length_mm": lengths[1], "pressures_kpa": levels},
             [_bursts(bench, lengths[1])],
+        ),
+        (
+            "step", "the chamber shut for half a minute at two pressures",
+            {"schemes": ["two"], "length_mm": lengths[1], "pressures_kpa": two, "step_s": SHUT_S},
+            [_shut(bench, lengths[1])],
         ),
     ]  # fmt: skip
     return [
@@ -288,6 +295,14 @@ def _bursts(bench: _Bench, length: float) -> Trial:
             events += [(now, valve, 1.0), (now + width, valve, 0.0)]
             now += 0.2
     return _simulated(bench, "step", events, now + 0.3, kind="valves", length_mm=length)
+
+
+def _shut(bench: _Bench, length: float) -> Trial:
+    """Two fillings, after each of which both valves stay shut."""
+    events: list[Event] = []
+    for now, fill in ((0.2, 0.1), (0.3 + SHUT_S, 0.2)):
+        events += [(now, "inlet", 1.0), (now + fill, "inlet", 0.0)]
+    return _simulated(bench, "step", events, 0.5 + 2.0 * SHUT_S, kind="valves", length_mm=length)
 
 
 def as_data(problem: FitProblem, trials: Sequence[Trial]) -> DataSet:
