@@ -171,6 +171,26 @@ def test_a_limit_that_pushes_where_the_force_is_tared_needs_no_force_zero_beside
     assert set(trials["tare_length_mm"]) == {54.0}  # the balance keeps it for the step test
 
 
+def shut_too(config: RigConfig, again: bool = False) -> list[Test]:
+    """The short tests, and after them the chamber that is shut."""
+    made = few(config)
+    return made if again else [*made, *(t for t in battery(config) if t.kind == ("step", True))]
+
+
+def test_a_small_leak_shows_where_the_chamber_is_shut_for_half_a_minute(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """0.02 kPa/s at 400 kPa: hidden by a loop that holds the pressure, and by steps of a second."""
+    monkeypatch.setattr(loop, "battery", shut_too)
+    config = rig_with(tmp_path, "[effects.leak]\nconductance_m3_s_pa = 4e-15\n")
+    found = investigate(config, tmp_path / "runs", derive=False)
+    assert [r.status for r in found.rounds[1:]] == ["no_gap_above_floor", "named"]
+    assert found.verdict.effects[0].ids == ("leak",)
+    amount = found.verdict.effects[0].parameters["conductance_m3_s_pa"]
+    assert float(amount.low) < 4e-15 < float(amount.high)
+    assert float(amount.value) == pytest.approx(4e-15, rel=0.2)
+
+
 def test_a_fault_in_a_later_test_ends_it_with_what_the_tests_before_allow_to_say(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -102,18 +102,30 @@ class _Case:
         return "smoothness" if self.problem.data.settled else None
 
     def block(self, fit: FitResult) -> str:
-        """The block whose gap stands highest above its floor, or is closed most."""
+        """The block whose gap stands highest above its floor, or is closed most.
+
+        What one slot alone shows is not closed without that slot: where no block's gap is smaller
+        on slots left out, it is the one in which the fit to all of them gains most.
+        """
 
         def height(block: str) -> float:
             part = self.held[block]
-            floor = max(part.rms("floor"), 1e-6) ** 2
             gained = part.rms("recalibrated") ** 2 - (
                 part.rms("after") ** 2 if fit.candidates else part.rms("floor") ** 2
             )
             sure = not fit.candidates or part.closed() is not None
-            return gained / floor * (0.2 if block == "camera" else 1.0) * (1.0 if sure else 0.1)
+            return _over_floor(block, part, gained) * (1.0 if sure else 0.1)
 
-        return max(self.held, key=height)
+        def height_inside(block: str) -> float:
+            part = self.held[block]
+            assert part.fitted is not None
+            before, after = (float(squares.sum()) for squares in part.fitted)
+            return _over_floor(block, part, (before - after) / max(float(part.weight.sum()), 1e-12))
+
+        best = max(self.held, key=height)
+        if fit.candidates and height(best) <= 0.0:
+            return max(self.held, key=height_inside)
+        return best
 
     def nearest_stage(self, block: str) -> str | None:
         """Stage of the candidate with the largest gain among those that touch the block."""
@@ -123,6 +135,12 @@ class _Case:
             return None
         stage = CATALOGUE[known[max(gains, key=lambda k: gains[k])].id].stage
         return None if stage == "any" else stage
+
+
+def _over_floor(block: str, part: HeldOut, squares: float) -> float:
+    """Squared errors of a block in those of its floor; those of the camera count less."""
+    floor = max(part.rms("floor"), 1e-6) ** 2
+    return squares / floor * (0.2 if block == "camera" else 1.0)
 
 
 @dataclass(frozen=True)
