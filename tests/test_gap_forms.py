@@ -27,13 +27,15 @@ def course(
     amount: float,
     shape: Mapping[str, float],
     edges: list[tuple[float, int]],
+    time: np.ndarray | None = None,
+    beside: Active = (),
 ) -> np.ndarray:
-    """Predicted reading in Pa every millisecond of 0.4 s, the inlet switched at `edges`."""
-    q = chamber.parameters(C, [(name, option, amount, shape)], C.supply_pa)
+    """Predicted reading in Pa, the inlet switched at `edges`; by default every ms of 0.4 s."""
+    q = chamber.parameters(C, [(name, option, amount, shape), *beside], C.supply_pa)
     q[stage.FOLLOW] = 0.0
     for k in range(4):
         q[layout.DELAY + k] = q[layout.DELAY_SLOPE + k] = 0.0
-    time = np.arange(0.0, 0.4, 1e-3)
+    time = np.arange(0.0, 0.4, 1e-3) if time is None else time
     n = len(time)
     out = np.empty(n)
     chamber.predict(
@@ -112,6 +114,24 @@ def test_a_vessel_behind_an_orifice_takes_as_much_gas_as_one_beside_the_line() -
     assert orifice[80] > 1.05 * plain[80]
     left = [np.abs(shown[150] - plain[-1]) for shown in (orifice, tube)]
     assert left[0] < 0.2 * left[1]
+
+
+@pytest.mark.parametrize("line_s", [0.005, 0.06])
+@pytest.mark.parametrize("orifice", [0.0, 1.0])
+def test_a_vessel_that_is_full_follows_a_leak_in_steps_of_any_length(
+    line_s: float, orifice: float
+) -> None:
+    """A long step is as good as many short ones once both pressures are one."""
+    fine = np.arange(0.0, 10.0, 2e-4)
+    coarse = np.r_[fine[fine < 0.6], np.arange(0.6, 10.0, 0.02)]
+    shape = {"line_s": line_s, "orifice": orifice}
+    leak: Active = [("leak", "", 2e-13, {})]
+    slow, quick = (
+        course("dead_volume", "", 3.0, shape, PULSE, time, leak) for time in (fine, coarse)
+    )
+    expected = np.interp(coarse, fine, slow)
+    assert expected[-1] < 0.98 * expected[3000]
+    assert quick == pytest.approx(expected, abs=3.0)  # Pa; the least floor is 20
 
 
 def test_a_slow_regulator_gives_less_to_the_second_of_two_pulses() -> None:

@@ -229,6 +229,8 @@ _HEAT_AT_PA = 4e5
 _LONGEST_S = 2e-3
 _LONGEST_SHUT_S = 2e-2
 """Longest steps, s, with a valve open and with both shut: a leak alone is slow."""
+_LEVEL_PA = 10.0
+"""Difference of the pressures of two vessels that counts as none."""
 _LEAST_SHARE = 0.05
 """Share of the atmosphere below which no gas in a muscle is."""
 
@@ -288,7 +290,10 @@ def _advance(
             h = min(h, _LONGEST_SHUT_S if inlet == 0.0 and outlet == 0.0 else _LONGEST_S)
         if q[stage.LINE] > 0.0:
             line_time = _line_time(q, p - s[4])
-            h = min(h, 0.3 * line_time)
+            # Where both are level and stay so, what the one gives the other is exact for any step.
+            level = abs(p - s[4]) < _LEVEL_PA and abs(rate) * line_time < _LEVEL_PA
+            if not level or inlet > 0.0 or outlet > 0.0:
+                h = min(h, 0.3 * line_time)
         if q[stage.DROOP_TIME] > 0.0 and inlet > 0.0:
             h = min(h, 0.3 * q[stage.DROOP_TIME])
         v_next = v + slope * h
