@@ -79,6 +79,19 @@ def test_what_all_mountings_share_may_be_a_label_and_is_asked(tmp_path: Path) ->
     assert set(gains) <= {"length_label", "camera_scale"}
 
 
+def test_a_label_that_moves_no_constant_to_its_end_is_asked_for_where_it_gains_enough(
+    tmp_path: Path,
+) -> None:
+    """0.13 mm: the mountings take a part of it each, and what is left of it the calibration."""
+    write_set(tmp_path, seed=5, replicates=2)
+    trials = pd.read_csv(tmp_path / "trials.csv")
+    trials["held_length_mm"] += 0.13
+    trials.to_csv(tmp_path / "trials.csv", index=False)
+    problem = FitProblem.of(read_dataset(tmp_path))
+    assert keys_of_shifted_constants(problem, problem.base) == []
+    assert set(relieving(problem)) == {"length_label", "camera_scale"}
+
+
 def test_agreement_that_asks_nothing_of_what_is_stated_leans_on_nothing(nominal_set: Path) -> None:
     assert relieving(FitProblem.of(read_dataset(nominal_set))) == {}
 

@@ -168,6 +168,27 @@ def test_a_hose_whose_wall_stiffens_holds_the_gas_that_came_in(soft_kpa: float) 
     assert (wide + C.atmosphere_pa) * (volume + gained) == pytest.approx(gas, rel=2e-3)
 
 
+@pytest.mark.parametrize("yields_s", [0.02, 0.23, 3.0])
+def test_a_hose_whose_wall_yields_by_and_by_is_that_of_scipy(yields_s: float) -> None:
+    """A Voigt wall: after a choked pulse all gas stays, and the volume comes after the pressure."""
+    plain = course("dead_volume", "", 0.0, {}, [(0.06, 1), (0.068, 0)])
+    shown = course("dead_volume", "", 2.0, {"yields_s": yields_s}, [(0.06, 1), (0.068, 0)])
+    volume = muscle.braid_volume(HELD_M, C.braid_length_m, C.turns) + C.dead_volume_m3
+    per_pa = 2e-6 / 300e3
+    time = np.arange(0.0, 0.4, 1e-3)
+    gas = (plain + C.atmosphere_pa) * volume  # constant but in the pulse, where it is that of both
+
+    def follows(t: float, y: np.ndarray) -> list[float]:
+        inside = np.interp(t, time, gas) / (volume + per_pa * y[0]) - C.atmosphere_pa
+        return [(inside - y[0]) / yields_s]
+
+    after = solve_ivp(follows, (0.0, 0.399), [0.0], t_eval=time, rtol=1e-8, max_step=5e-4).y[0]
+    expected = gas / (volume + per_pa * after) - C.atmosphere_pa
+    assert shown == pytest.approx(expected, abs=0.003 * plain[-1])
+    if yields_s == 0.23:
+        assert shown[75] > 1.05 * shown[-1]
+
+
 def pull(effects: Active, **fields: np.ndarray) -> np.ndarray:
     """Change of the muscle's force by `effects`, N."""
     points = still(**fields)

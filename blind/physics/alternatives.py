@@ -167,6 +167,18 @@ def swelling(gauge: float) -> float:
 
 
 @compiled
+def preloaded(gauge: float) -> float:
+    """Volume behind a spring over that at 300 kPa: none below the spring's preload."""
+    return float(max(gauge - 72.0, 0.0) / (STATED_KPA - 72.0))
+
+
+@compiled
+def springing(gauge: float) -> float:
+    """Its derivative, 1/kPa."""
+    return float(1.0 / (STATED_KPA - 72.0) if gauge > 72.0 else 0.0)
+
+
+@compiled
 def leak(form: float, g: float, p: float, pa: float, density: float) -> float:
     """Leaking mass flow, mg/s, equal to the choked one at 300 kPa gauge; p absolute."""
     if p <= pa:

@@ -132,6 +132,8 @@ _TABLE: dict[str, tuple[tuple[str, str], ...]] = {
          "Westerhof and Noordergraaf, J. Biomech. 3 (1970) 357 (viscoelastic tube)"),
         ("V behind a check valve, emptied through a throttle",
          "Andersen, Analysis of Pneumatic Systems, 1967 (one-way flow control)"),
+        ("V (p - 72)/228 above 72 kPa, else none",
+         "Hunt and Vaughan, Hydraulic Handbook, 9th ed., 1996 (spring-loaded accumulator)"),
     ),
     "polytropic": (
         ("n", "ideal gas, constant exponent"),

@@ -114,6 +114,8 @@ def slopes(
             flow = alternatives.valved_flow(p - y[n.Y_SIDE], e[n.VOLUME, 2])
             dy[n.Y_SIDE] = flow
             gain -= extra * flow
+        elif form == 7.0:
+            vol += extra * (alternatives.preloaded(gauge) + p * alternatives.springing(gauge))
         k = c[n.EXPONENT]
         if e[n.POLYTROPIC, 0] >= 0.0:
             k = 1.0 + e[n.POLYTROPIC, 1]

@@ -243,7 +243,7 @@ def _advance(
     """Move gas state s over `span` s.
 
     It is (pressure, isothermal pressure, reading, fall, line, pressure at the sensor, rate of the
-    reading).
+    reading, pressure that a yielding hose has come after).
     """
     left = span
     v = v0
@@ -257,7 +257,10 @@ def _advance(
     vented = q[layout.CLOSING + 1]
     quiet = inlet == 0.0 and outlet == 0.0 and q[stage.LEAK] == 0.0 and q[stage.LEAK_LAMINAR] == 0.0
     quiet = quiet and q[stage.LINE] == 0.0 and q[stage.ELASTIC] == 0.0
-    quiet = quiet and q[stage.STIFFENING] == 0.0
+    quiet = quiet and q[stage.STIFFENING] == 0.0 and q[stage.YIELDING] == 0.0
+    hose = 0.0
+    hose_next = 0.0
+    swells = 0.0
     while left > 1e-12:
         p = s[0]
         flow_in = 0.0
@@ -278,7 +281,11 @@ def _advance(
                 flow_out /= math.sqrt(warm)
             # A hose that widens takes gas as if the volume were larger by this much.
             wide = _widening(q, max(p, 0.0), at)
-            rate = k * heat * (flow_in - warm * flow_out) / (v + wide) - k * (p + at) * slope / v
+            if q[stage.YIELDING] > 0.0:
+                hose = q[stage.YIELDING] * s[7]
+                swells = q[stage.YIELDING] * (max(p, 0.0) - s[7]) / q[stage.YIELDING_TIME]
+            rate = k * heat * (flow_in - warm * flow_out) / (v + hose + wide)
+            rate -= k * (p + at) * (slope + swells) / (v + hose)
             # A step changes the pressure by a seventh of what drives the flow, at most. With a
             # third the end of a fill was off as if the valve had another subsonic index.
             drive = 1e9
@@ -288,6 +295,8 @@ def _advance(
                 drive = min(drive, abs(p - vented) + 200.0)
             h = min(left, max(0.15 * drive / (abs(rate) + 1.0), 2e-5))
             h = min(h, _LONGEST_SHUT_S if inlet == 0.0 and outlet == 0.0 else _LONGEST_S)
+            if q[stage.YIELDING] > 0.0:
+                h = min(h, 0.3 * q[stage.YIELDING_TIME])
         if q[stage.LINE] > 0.0:
             line_time = _line_time(q, p - s[4])
             # Where both are level and stay so, what the one gives the other is exact for any step.
@@ -312,12 +321,16 @@ def _advance(
             )
             out2 /= math.sqrt(warm)
             wide = _widening(q, max(p_try, 0.0), at)
-            rate2 = (
-                k * heat * (in2 - warm * out2) / (v_next + wide) - k * (p_try + at) * slope / v_next
-            )
+            if q[stage.YIELDING] > 0.0:
+                follows = 1.0 - math.exp(-h / q[stage.YIELDING_TIME])
+                s[7] += (0.5 * (max(p, 0.0) + max(p_try, 0.0)) - s[7]) * follows
+                hose_next = q[stage.YIELDING] * s[7]
+                swells = q[stage.YIELDING] * (max(p_try, 0.0) - s[7]) / q[stage.YIELDING_TIME]
+            rate2 = k * heat * (in2 - warm * out2) / (v_next + hose_next + wide)
+            rate2 -= k * (p_try + at) * (slope + swells) / (v_next + hose_next)
             p1 = p + 0.5 * h * (rate + rate2)
             mass = 0.5 * h * (flow_in - flow_out + in2 - out2)
-            iso = ((s[1] + at) * v + heat * mass) / v_next - at
+            iso = ((s[1] + at) * (v + hose) + heat * mass) / (v_next + hose_next) - at
             # Flow ends at equal pressure; no step may carry the gas beyond.
             alone = slope == 0.0
             top = filled
@@ -399,6 +412,7 @@ def _trial(
     s[2] = s[0]
     s[4] = s[0]
     s[5] = s[0]
+    s[7] = max(s[0], 0.0)
     scale = REFERENCE_DENSITY_KG_M3 * math.sqrt(REFERENCE_TEMPERATURE_K / q[layout.GAS_TEMPERATURE])
     lag = q[layout.SPOOL_LAG]
     edge = 0
@@ -545,7 +559,7 @@ def _build(sources: int) -> Callable[..., None]:
         opened = np.zeros(2)
         spool = np.zeros(2)
         command = np.zeros(2)
-        s = np.zeros(7)
+        s = np.zeros(8)
         leak = q[stage.LEAK]
         for t in range(len(first) - 1):
             if len(q) > stage.SIZE:

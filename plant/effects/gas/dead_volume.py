@@ -27,6 +27,10 @@ def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
         soft = shape["soft_kpa"] * 1e3
         params[stage.STIFFENING] += amount * 1e-6 / -math.expm1(-_STATED_PA / soft)
         params[stage.STIFFENING_PA] = soft
+    elif "yields_s" in shape:
+        # A viscoelastic wall (Voigt element), as of rubber hoses: stated as the elastic one.
+        params[stage.YIELDING] += amount * 1e-6 / _STATED_PA
+        params[stage.YIELDING_TIME] = shape["yields_s"]
     elif "line_s" in shape:
         params[stage.LINE] += max(amount, 0.0) * 1e-6
         params[stage.LINE_TIME] = shape["line_s"]
@@ -59,15 +63,17 @@ DEAD_VOLUME = Effect(
         step=0.1,
         sign=1,
         blocks=("pressure",),
-        # A vessel beside the line, behind a thin tube or behind a hole (tee, fitting, stop cock).
+        # A vessel beside the line, a hose that widens, at once or by and by, a vessel behind a thin
+        # tube or behind a hole (tee, fitting, stop cock).
         shapes=(
             {},
             {"elastic": 1.0},
             {"soft_kpa": 180.0},
+            {"yields_s": 0.1},
             {"line_s": 0.01},
             {"line_s": 0.06},
             {"line_s": 0.03, "orifice": 1.0},
         ),
-        free={"line_s": (0.001, 0.3), "soft_kpa": (20.0, 1500.0)},
+        free={"line_s": (0.001, 0.3), "soft_kpa": (20.0, 1500.0), "yields_s": (0.01, 5.0)},
     ),
 )
