@@ -189,6 +189,22 @@ def test_a_hose_whose_wall_yields_by_and_by_is_that_of_scipy(yields_s: float) ->
         assert shown[75] > 1.05 * shown[-1]
 
 
+def test_an_exponent_that_fades_begins_as_it_is_stated_and_ends_half_as_far_above_one() -> None:
+    def shown(amount: float, shape: Mapping[str, float]) -> np.ndarray:
+        return course("polytropic", "", amount, shape, TWICE)
+
+    whole, half = shown(0.3, {}), shown(0.15, {})
+    assert shown(0.3, {"fades_s": 1e6}) == pytest.approx(whole, abs=1.0)
+    assert shown(0.3, {"fades_s": 1e-6}) == pytest.approx(half, rel=2e-3)
+    between = shown(0.3, {"fades_s": 0.01})
+    assert np.all(between[165:] < whole[165:])
+    assert np.all(between[165:] > half[165:])
+    # At each opening it is as it was at first: the second pulse makes the same share of its way.
+    steps = [(p[120] - p[55], p[-1] - p[120]) for p in (half, between, whole)]
+    shares = [(b - a) / (c - a) for a, b, c in zip(*steps, strict=True)]
+    assert shares[1] == pytest.approx(shares[0], abs=0.15)
+
+
 def pull(effects: Active, **fields: np.ndarray) -> np.ndarray:
     """Change of the muscle's force by `effects`, N."""
     points = still(**fields)

@@ -249,6 +249,12 @@ def wall_rate(over: float, tau: float) -> float:
 
 
 @compiled
+def stirred_rate(over: float, tau: float, flow: float) -> float:
+    """The same where the jet stirs the gas: `flow` through the valves in mg/s."""
+    return float(over / tau * (0.12 + 9.4 * (flow / 900.0) ** 0.78))
+
+
+@compiled
 def sag_rate(form: float, gain: float, tau: float, inflow: float, fall: float) -> float:
     """Rate of the fall of the supply, kPa/s."""
     if form == 3.0:  # receiver filled again through an orifice

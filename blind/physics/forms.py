@@ -142,6 +142,7 @@ _TABLE: dict[str, tuple[tuple[str, str], ...]] = {
          "Richer and Hurmuzlu, J. Dyn. Syst. Meas. Control 122 (2000) 416"),
         ("heat loss as dT^(4/3)", "Churchill and Chu, Int. J. Heat Mass Transf. 18 (1975) 1323"),
         ("n falls after each stroke", "Al-Ibrahim and Otis, Proc. 45th NCFP, 1992"),
+        ("heat loss as flow^0.78", "Eichelberg, Engineering 148 (1939) 463 (gas in motion)"),
     ),
     "leak": (
         ("orifice, b = 0.5", _ISO6358),

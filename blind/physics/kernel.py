@@ -133,6 +133,10 @@ def slopes(
         elif e[n.POLYTROPIC, 0] == 3.0:
             dy[n.Y_ISO] = (gain - y[n.Y_ISO] * dv) / vol
             dp -= alternatives.wall_rate(p - y[n.Y_ISO], e[n.POLYTROPIC, 2])
+        elif e[n.POLYTROPIC, 0] == 5.0:
+            dy[n.Y_ISO] = (gain - y[n.Y_ISO] * dv) / vol
+            flow = inflow + abs(outflow)
+            dp -= alternatives.stirred_rate(p - y[n.Y_ISO], e[n.POLYTROPIC, 2], flow)
         if e[n.DROOP, 0] >= 0.0:
             if e[n.DROOP, 0] == 2.0:  # a regulator that sags with the flow
                 dy[n.Y_FALL] = (e[n.DROOP, 2] * inflow**0.8 - fall) / 0.006

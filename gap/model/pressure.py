@@ -243,7 +243,7 @@ def _advance(
     """Move gas state s over `span` s.
 
     It is (pressure, isothermal pressure, reading, fall, line, pressure at the sensor, rate of the
-    reading, pressure that a yielding hose has come after).
+    reading, pressure that a yielding hose has come after, time since a valve opened).
     """
     left = span
     v = v0
@@ -262,6 +262,9 @@ def _advance(
     hose_next = 0.0
     swells = 0.0
     while left > 1e-12:
+        if q[stage.FADING] > 0.0:
+            lasting = 0.5 + 0.5 * math.exp(-(s[8] + 0.5 * left) / q[stage.FADING])
+            k = 1.0 + (q[layout.EXPONENT] - 1.0) * lasting
         p = s[0]
         flow_in = 0.0
         flow_out = 0.0
@@ -381,6 +384,7 @@ def _advance(
             s[2] = p1
         s[0] = max(p1, -0.99 * at)
         s[1] = iso
+        s[8] += h
         v = v_next
         left -= h
 
@@ -413,6 +417,7 @@ def _trial(
     s[4] = s[0]
     s[5] = s[0]
     s[7] = max(s[0], 0.0)
+    s[8] = 1e3
     scale = REFERENCE_DENSITY_KG_M3 * math.sqrt(REFERENCE_TEMPERATURE_K / q[layout.GAS_TEMPERATURE])
     lag = q[layout.SPOOL_LAG]
     edge = 0
@@ -496,7 +501,10 @@ def _trial(
                         told[w, waiting[w]] = value
                         waiting[w] += 1
             elif what >= 0:
+                before = spool[what]
                 spool[what] = _opening(told[what, 0], q[layout.DEAD_BAND + what])
+                if before == 0.0 and spool[what] > 0.0:
+                    s[8] = 0.0
                 if lag == 0.0:
                     opened[what] = spool[what]
                 busy = True
@@ -559,7 +567,7 @@ def _build(sources: int) -> Callable[..., None]:
         opened = np.zeros(2)
         spool = np.zeros(2)
         command = np.zeros(2)
-        s = np.zeros(8)
+        s = np.zeros(9)
         leak = q[stage.LEAK]
         for t in range(len(first) - 1):
             if len(q) > stage.SIZE:

@@ -36,5 +36,6 @@ LINE_ORIFICE = PARAMS_SIZE + 23  # 1 where the throttle before LINE is an orific
 LAG_DAMPING = PARAMS_SIZE + 24  # of a gauge that swings; 0 where it has no inertia
 YIELDING = PARAMS_SIZE + 25  # m3/Pa of a hose whose wall comes after the pressure
 YIELDING_TIME = PARAMS_SIZE + 26  # s in which it does
-SIZE = PARAMS_SIZE + 27
+FADING = PARAMS_SIZE + 27  # s in which the exponent falls after a valve opened; 0 where it stays
+SIZE = PARAMS_SIZE + 28
 LEAK_OF_TRIAL = SIZE  # m3/(s Pa) beside LEAK, one for each trial, where trials differ in it

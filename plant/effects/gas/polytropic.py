@@ -17,6 +17,7 @@ def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
     params[layout.EXPONENT] += amount
     params[stage.HEAT_RATE] = 1.0 / shape["heat_s"] if "heat_s" in shape else 0.0
     params[stage.HEAT_BY_MASS] = shape.get("mass", 0.0)
+    params[stage.FADING] = shape.get("fades_s", 0.0)
 
 
 POLYTROPIC = Effect(
@@ -44,17 +45,20 @@ POLYTROPIC = Effect(
         blocks=("pressure",),
         # With `mass`, the energy balance of the gas in the muscle (Carneiro and Almeida 2006): the
         # more of it there is, the longer the wall takes to cool it, and it leaves as warm as it is.
+        # With `fades_s` the exponent falls by half after each stroke, as measured in chambers that
+        # are filled and vented (Al-Ibrahim and Otis 1992).
         shapes=(
             {},
             {"heat_s": 0.2},
             {"heat_s": 1.0},
             {"heat_s": 5.0},
             {"heat_s": 0.1, "mass": 1.0},
+            {"fades_s": 0.1},
         ),
         # Air in a tube 10 mm wide takes the wall's temperature within seconds (r^2 / 5.8 of its
         # thermal diffusivity, 1 s at 5 bar), and within some hundredths where a jet stirs it; what
         # falls for longer leaks.
-        free={"heat_s": (0.02, 6.0)},
+        free={"heat_s": (0.02, 6.0), "fades_s": (0.01, 2.0)},
         one_shape=True,
     ),
 )
