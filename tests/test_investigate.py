@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import pytest
 import cli.investigate.investigate as loop
 from blind.live import Secret
 from cli.investigate.config import INVESTIGATION
-from cli.investigate.investigate import investigate
+from cli.investigate.investigate import Investigation, investigate
 from cli.investigate.survey import Test, battery, protocol_text
 from daq.clock import VirtualClock
 from daq.errors import PamrigError
@@ -149,6 +150,14 @@ def test_an_effect_of_the_plant_is_named_after_the_first_two_tests(
     assert len(told) == 4
 
 
+def found_on(
+    tests: Callable[..., list[Test]], effects: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Investigation:
+    """What an investigation with some tests finds on a virtual bench with some effects."""
+    monkeypatch.setattr(loop, "battery", tests)
+    return investigate(rig_with(tmp_path, effects), tmp_path / "runs", derive=False)
+
+
 def elsewhere(config: RigConfig, again: bool = False) -> list[Test]:
     """Steps alone can be made again, at other pressures and another length."""
     held, steps = few(config)
@@ -162,9 +171,8 @@ def test_a_limit_that_pushes_where_the_force_is_tared_needs_no_force_zero_beside
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Tares are made at 54 mm, vented: what pushes there is missing from every reading."""
-    monkeypatch.setattr(loop, "battery", few)
-    config = rig_with(tmp_path, "[effects.contraction_limit]\nforce_n = 6\n")
-    found = investigate(config, tmp_path / "runs", derive=False)
+    limit = "[effects.contraction_limit]\nforce_n = 6\n"
+    found = found_on(few, limit, tmp_path, monkeypatch)
     assert (found.conclusion, found.family) == ("named", CATALOGUE["contraction_limit"].family)
     assert found.verdict.effects[0].ids == ("contraction_limit",)
     trials = pd.read_csv(found.folder / "data-02" / "trials.csv")
@@ -181,9 +189,8 @@ def test_a_small_leak_shows_where_the_chamber_is_shut_for_half_a_minute(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """0.02 kPa/s at 400 kPa: hidden by a loop that holds the pressure, and by steps of a second."""
-    monkeypatch.setattr(loop, "battery", shut_too)
-    config = rig_with(tmp_path, "[effects.leak]\nconductance_m3_s_pa = 4e-15\n")
-    found = investigate(config, tmp_path / "runs", derive=False)
+    leak = "[effects.leak]\nconductance_m3_s_pa = 4e-15\n"
+    found = found_on(shut_too, leak, tmp_path, monkeypatch)
     assert [r.status for r in found.rounds[1:]] == ["no_gap_above_floor", "named"]
     assert found.verdict.effects[0].ids == ("leak",)
     amount = found.verdict.effects[0].parameters["conductance_m3_s_pa"]
@@ -217,9 +224,8 @@ def test_delays_that_look_alike_are_named_by_their_family_once_steps_elsewhere_a
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At one supply a delay and its slope are one thing, so no diagnosis names either alone."""
-    monkeypatch.setattr(loop, "battery", elsewhere)
-    config = rig_with(tmp_path, '[effects.valve_delay]\ndelay_ms = 6\nedge = "inlet_on"\n')
-    found = investigate(config, tmp_path / "runs", derive=False)
+    late = '[effects.valve_delay]\ndelay_ms = 6\nedge = "inlet_on"\n'
+    found = found_on(elsewhere, late, tmp_path, monkeypatch)
     assert [r.protocol for r in found.rounds] == ["isometric", "step", "step"]
     first, again = found.rounds[1:]
     assert first.status == again.status == "indistinguishable"
