@@ -184,6 +184,7 @@ def test_a_hose_whose_wall_yields_by_and_by_is_that_of_scipy(yields_s: float) ->
 
     after = solve_ivp(follows, (0.0, 0.399), [0.0], t_eval=time, rtol=1e-8, max_step=5e-4).y[0]
     expected = gas / (volume + per_pa * after) - C.atmosphere_pa
+    # The gas of the pulse is taken as straight between milliseconds.
     assert shown == pytest.approx(expected, abs=0.003 * plain[-1])
     if yields_s == 0.23:
         assert shown[75] > 1.05 * shown[-1]
@@ -199,10 +200,11 @@ def test_an_exponent_that_fades_begins_as_it_is_stated_and_ends_half_as_far_abov
     between = shown(0.3, {"fades_s": 0.01})
     assert np.all(between[165:] < whole[165:])
     assert np.all(between[165:] > half[165:])
-    # At each opening it is as it was at first: the second pulse makes the same share of its way.
+    # At each opening it is as it was at first. Were it not, the second pulse would be that of half
+    # the exponent: of the way from there to the whole one it would go nothing.
     steps = [(p[120] - p[55], p[-1] - p[120]) for p in (half, between, whole)]
     shares = [(b - a) / (c - a) for a, b, c in zip(*steps, strict=True)]
-    assert shares[1] == pytest.approx(shares[0], abs=0.15)
+    assert shares[1] > 0.5 * shares[0] > 0.1
 
 
 def pull(effects: Active, **fields: np.ndarray) -> np.ndarray:

@@ -16,8 +16,6 @@ class InvestigationConfig:
     either alone would be one among what that test can show."""
     hold_s: float = 60.0
     """Time of a hold, in which creep shows."""
-    shut_s: float = 30.0
-    """Time for which the chamber is shut at each pressure, in which a leak shows."""
     nearly_certain: float = 0.7
     """Reliability of one family from which it is tested before anything else is looked at. Set on:
     not recorded."""

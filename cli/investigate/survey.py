@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cli.investigate.config import INVESTIGATION
+from gap.design.config import DESIGN
 from rigs.rigfile.config import RigConfig
 
 
@@ -38,7 +39,7 @@ class Test:
 
 def _held_long(settings: Mapping[str, Any]) -> bool:
     """Whether each setting is held for long, so that what is slow shows: creep, a leak."""
-    return "measure" in settings or settings.get("step_s", 0.0) >= INVESTIGATION.shut_s
+    return "measure" in settings or settings.get("step_s", 0.0) >= DESIGN.shut_s
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ def battery(config: RigConfig, again: bool = False) -> list[Test]:
     if with_valves:
         made.append(Test(
             "step", "a chamber that is shut, at two pressures",
-            {"schemes": ["two"], "pressures_kpa": moved, "step_s": INVESTIGATION.shut_s,
+            {"schemes": ["two"], "pressures_kpa": moved, "step_s": DESIGN.shut_s,
              "supply_kpa": config.limits.pressure_kpa, "length_mm": lengths[1],
              "repeats": repeats},
         ))  # fmt: skip

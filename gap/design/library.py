@@ -17,6 +17,7 @@ import numpy as np
 
 from gap.data.dataset import DataSet
 from gap.data.trial import Channel, Trial
+from gap.design.config import DESIGN
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.validation.improved_plant import improved_plant
 from plant.constants import PlantConstants
@@ -31,8 +32,6 @@ RATES = {"regulated": (20.0, 10.0, 10.0), "valves": (500.0, 80.0, 50.0)}
 """Samples a second of pressure, force and pictures where the data set does not say."""
 STAGE_MM_S = 3.0
 DWELL_S = 3.0
-SHUT_S = 30.0
-"""Time for which a chamber is shut at each pressure, in which a leak shows."""
 SETTING_UP_S = 20.0
 
 
@@ -125,7 +124,8 @@ def library_experiments(problem: FitProblem, best: FitResult) -> list[LibraryExp
         ),
         (
             "step", "the chamber shut for half a minute at two pressures",
-            {"schemes": ["two"], "length_mm": lengths[1], "pressures_kpa": two, "step_s": SHUT_S},
+            {"schemes": ["two"], "length_mm": lengths[1], "pressures_kpa": two,
+             "step_s": DESIGN.shut_s},
             [_shut(bench, lengths[1])],
         ),
     ]  # fmt: skip
@@ -300,9 +300,11 @@ def _bursts(bench: _Bench, length: float) -> Trial:
 def _shut(bench: _Bench, length: float) -> Trial:
     """Two fillings, after each of which both valves stay shut."""
     events: list[Event] = []
-    for now, fill in ((0.2, 0.1), (0.3 + SHUT_S, 0.2)):
+    now = 0.2
+    for fill in (0.1, 0.2):
         events += [(now, "inlet", 1.0), (now + fill, "inlet", 0.0)]
-    return _simulated(bench, "step", events, 0.5 + 2.0 * SHUT_S, kind="valves", length_mm=length)
+        now += fill + DESIGN.shut_s
+    return _simulated(bench, "step", events, now, kind="valves", length_mm=length)
 
 
 def as_data(problem: FitProblem, trials: Sequence[Trial]) -> DataSet:

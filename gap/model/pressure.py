@@ -231,6 +231,9 @@ _LONGEST_SHUT_S = 2e-2
 """Longest steps, s, with a valve open and with both shut: a leak alone is slow."""
 _LEVEL_PA = 10.0
 """Difference of the pressures of two vessels that counts as none."""
+_FADES = 0.5
+"""Part of what an exponent has above one that fades: it ends half way to isothermal, as nothing is
+known of where it ends, and its amount is fitted anyway. No other value was tried."""
 _LEAST_SHARE = 0.05
 """Share of the atmosphere below which no gas in a muscle is."""
 
@@ -263,7 +266,8 @@ def _advance(
     swells = 0.0
     while left > 1e-12:
         if q[stage.FADING] > 0.0:
-            lasting = 0.5 + 0.5 * math.exp(-(s[8] + 0.5 * left) / q[stage.FADING])
+            faded = 1.0 - math.exp(-(s[8] + 0.5 * left) / q[stage.FADING])
+            lasting = 1.0 - _FADES * faded
             k = 1.0 + (q[layout.EXPONENT] - 1.0) * lasting
         p = s[0]
         flow_in = 0.0

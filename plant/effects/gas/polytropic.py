@@ -45,8 +45,8 @@ POLYTROPIC = Effect(
         blocks=("pressure",),
         # With `mass`, the energy balance of the gas in the muscle (Carneiro and Almeida 2006): the
         # more of it there is, the longer the wall takes to cool it, and it leaves as warm as it is.
-        # With `fades_s` the exponent falls by half after each stroke, as measured in chambers that
-        # are filled and vented (Al-Ibrahim and Otis 1992).
+        # With `fades_s` the exponent falls after each opening of a valve, towards half of what it
+        # has above one (Al-Ibrahim and Otis 1992: chambers that are filled and vented).
         shapes=(
             {},
             {"heat_s": 0.2},
