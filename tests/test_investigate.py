@@ -193,6 +193,8 @@ def test_a_small_leak_shows_where_the_chamber_is_shut_for_half_a_minute(
     found = found_on(shut_too, leak, tmp_path, monkeypatch)
     assert [r.status for r in found.rounds[1:]] == ["no_gap_above_floor", "named"]
     assert found.verdict.effects[0].ids == ("leak",)
+    assert found.verdict.headline_gap is not None
+    assert found.verdict.headline_gap.unit == "kPa"  # no force, that a leak leaves as it is
     amount = found.verdict.effects[0].parameters["conductance_m3_s_pa"]
     assert float(amount.low) < 4e-15 < float(amount.high)
     assert float(amount.value) == pytest.approx(4e-15, rel=0.2)

@@ -704,10 +704,13 @@ def _channels(case: _Case, named: bool) -> tuple[Gap, ...]:
     """The gaps of all blocks, the largest for the range of its channel first.
 
     Large: what was closed where an effect is named, else what is above the floor, else what there
-    was without a fit.
+    was without a fit. Where the effect closes no gap on slots left out, the block that its fit
+    helps most comes first.
     """
     scheme = "slot" if len(case.problem.data.slots) > 1 else None
-    found: list[tuple[float, Gap]] = []
+    helped = case.block(case.search.best.fit)
+    closes = any(part.rms("after") < part.rms("recalibrated") for part in case.held.values())
+    found: list[tuple[bool, float, Gap]] = []
     for block, part in case.held.items():
         gap = gap_of(block, part, named, case.floor_source, scheme)
         if named and gap.after is not None:
@@ -715,8 +718,9 @@ def _channels(case: _Case, named: bool) -> tuple[Gap, ...]:
         else:
             size = gap.recalibrated**2 - (gap.floor or 0.0) ** 2
         size = float(np.sqrt(size)) if size > 0 else gap.before * 1e-3
-        found.append((size / _range_of(case.problem, block), gap))
-    return tuple(gap for _, gap in sorted(found, key=lambda one: -one[0]))
+        first = named and not closes and block == helped
+        found.append((first, size / _range_of(case.problem, block), gap))
+    return tuple(one[2] for one in sorted(found, key=lambda one: (not one[0], -one[1])))
 
 
 CHANNEL_OF = {
