@@ -708,8 +708,8 @@ def _channels(case: _Case, named: bool) -> tuple[Gap, ...]:
     helps most comes first.
     """
     scheme = "slot" if len(case.problem.data.slots) > 1 else None
-    helped = case.block(case.search.best.fit)
     closes = any(part.rms("after") < part.rms("recalibrated") for part in case.held.values())
+    helped = case.block(case.search.best.fit) if named and not closes else None
     found: list[tuple[bool, float, Gap]] = []
     for block, part in case.held.items():
         gap = gap_of(block, part, named, case.floor_source, scheme)
@@ -718,8 +718,7 @@ def _channels(case: _Case, named: bool) -> tuple[Gap, ...]:
         else:
             size = gap.recalibrated**2 - (gap.floor or 0.0) ** 2
         size = float(np.sqrt(size)) if size > 0 else gap.before * 1e-3
-        first = named and not closes and block == helped
-        found.append((first, size / _range_of(case.problem, block), gap))
+        found.append((block == helped, size / _range_of(case.problem, block), gap))
     return tuple(one[2] for one in sorted(found, key=lambda one: (not one[0], -one[1])))
 
 
