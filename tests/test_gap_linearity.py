@@ -24,20 +24,20 @@ from gap.estimation.fit_problem import FitProblem
 from gap.model import force as laws
 from gap.model.pressure import parameters
 from gap.model.residuals import Model
-from gap.selection.candidate_fits import _parts_of_range
+from gap.selection.candidate_fits import _levels
 from plant.arrays import Array
 from plant.constants import nominal
 from plant.effects import pressure_stage as stage
 from plant.effects.arguments import Context, Shape
 from plant.effects.effects import Effects
-from plant.effects.sensors.linearity import FREE, POWERS, linearity
+from plant.effects.sensors.linearity import CALIBRATION_CURVE, FREE, POWERS, linearity
 from plant.simulator.readings import read_force, read_pressure
 from tests.gap_bench import write_set
 
 CONTEXT = Context(nominal(), np.zeros(1), full_n=80.0, full_pa=600e3)
 AMOUNTS = st.floats(-10.0, 10.0)
 BENDS = st.floats(*POWERS)
-CURVES = st.fixed_dictionaries({key: st.floats(*FREE[key]) for key in ("at_0", "at_1", "at_2")})
+CURVES = st.fixed_dictionaries({key: st.floats(*FREE[key]) for key in CALIBRATION_CURVE})
 SHAPES: st.SearchStrategy[Shape] = st.one_of(st.builds(lambda x: {"power": x}, BENDS), CURVES)
 
 
@@ -87,9 +87,8 @@ def test_no_numbers_are_a_straight_scale() -> None:
 
 
 def test_a_curve_with_equal_numbers_is_off_by_one_share() -> None:
-    curve = {"at_0": 1.0, "at_1": 1.0, "at_2": 1.0}
     value = np.linspace(-9.0, 18.0, 7)
-    assert linearity(value, 9.0, curve) == pytest.approx(value)
+    assert linearity(value, 9.0, CALIBRATION_CURVE) == pytest.approx(value)
 
 
 @given(AMOUNTS, AMOUNTS, st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
@@ -117,9 +116,10 @@ def test_two_parts_of_one_gauge_add_up(
         ({}, 250.0, 275.0),
         ({"power": 1.0}, 250.0, 262.5),
         ({"power": 2.0, "full_kpa": 200.0}, 100.0, 102.5),
-        ({"power": 1.0}, 600.0, 660.0),  # beyond the full value as far off as there
+        ({"power": 1.0}, 600.0, 672.0),  # what shows too little is loaded beyond its full value
+        ({"power": 1.0}, 1000.0, 1150.0),  # beyond half as much again as far off as there
         ({"at_0": 2.0}, 1e-3, 1.2e-3),  # a fifth too much at the foot of the range
-        ({"at_0": 4.0, "at_1": 4.0, "at_2": 4.0}, 250.0, 250.0 * (1.0 + 0.1 * 4.0**0.875)),
+        (dict.fromkeys(CALIBRATION_CURVE, 4.0), 250.0, 250.0 * (1.0 + 0.1 * 4.0**0.96875)),
     ],
 )
 def test_a_plant_file_states_a_scale_that_changes(
@@ -145,13 +145,13 @@ def test_a_curve_needs_readings_in_many_parts_of_the_range(tmp_path: Path) -> No
     swept = FitProblem.of(cell_that_saturates(tmp_path / "swept", percent=6.0))
     cell = next(s for s in swept.candidates if s.id == "force_gain")
     gauge = next(s for s in swept.candidates if s.id == "pressure_gain")
-    assert _parts_of_range(swept, cell) >= 6
-    assert _parts_of_range(swept, gauge) >= 6
+    assert _levels(swept, cell) >= 6
+    assert _levels(swept, gauge) >= 6
     two = np.where(swept.rows.pressure < 2e5, 1e5, 4e5)
     levels = replace(
         swept, model=Model(replace(swept.grid, rows=replace(swept.rows, pressure=two)))
     )
-    assert _parts_of_range(levels, gauge) == 2
+    assert _levels(levels, gauge) == 2
 
 
 def cell_that_saturates(folder: Path, percent: float) -> DataSet:
@@ -215,3 +215,17 @@ def test_a_gauge_whose_scale_rises_and_falls_is_a_gauge_not_a_valve(tmp_path: Pa
     for percent, kpa in told:
         table = np.interp(float(kpa), [150.0, 300.0, 450.0, 700.0], [12.0, 14.0, 13.7, 10.0])
         assert float(percent) == pytest.approx(table, abs=2.0)
+
+
+def test_a_gauge_that_shows_a_tenth_too_little_has_true_values_beyond_its_largest_reading(
+    tmp_path: Path,
+) -> None:
+    """Withheld bench 1051: the curve stood still at the largest reading, 40 kPa below the largest
+    true value; nothing fitted, and a diagnosis took minutes.
+    """
+    data = with_a_calibration_table(
+        tmp_path / "set", [-100.0, 0.0, 100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0],
+        [-90.0, 0.0, 87.0, 170.0, 252.0, 336.0, 424.0, 520.0, 626.0],
+    )  # fmt: skip
+    verdict = diagnose(data)
+    assert [effect.ids for effect in verdict.effects] == [("pressure_gain",)]

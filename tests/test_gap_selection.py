@@ -41,6 +41,16 @@ def test_an_effect_that_stood_for_two_leaves_once_both_are_there(table: FitProbl
     assert drop_needless(table, two, chance=30.0) is None
 
 
+def test_an_effect_by_way_of_which_the_others_found_their_end_leaves_again(
+    table: FitProblem,
+) -> None:
+    """Withheld bench 1051: a valve delay of nothing stood beside a gauge, with a gain of 176."""
+    with_wear = fitted(table, "liner_threshold", "force_gain", "wear")
+    two = drop_needless(table, with_wear, chance=30.0)
+    assert two is not None
+    assert two.keys == ("liner_threshold", "force_gain")
+
+
 def test_an_effect_in_another_s_place_gives_it_back(table: FitProblem) -> None:
     wrong = fitted(table, "braid_friction", "force_gain")
     best = swapped(table, wrong)[0]

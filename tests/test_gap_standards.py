@@ -148,6 +148,16 @@ def test_what_a_calibration_states_is_no_error() -> None:
     assert check_standards(three_sd).shown
 
 
+def test_labels_that_a_bowed_slide_bends_are_told_by_gauge_blocks_between_the_holders() -> None:
+    """Abbe's error, no parabola of ours: it grows with the square from a length near the middle."""
+    true = np.array([50.0, 54.0, 58.0, 62.0, 66.0, 70.0])
+    label = -0.5 * (1.0 + 0.01 * (true - 60.0) ** 2)
+    found = check_standards(data_with(readings("held_length_mm", true, -label)))
+    assert found.shown == ("length_label",)
+    values = found.effects.values["length_label"]
+    assert float(values["long"]) > 1.5
+
+
 def test_a_scale_that_changes_over_the_picture_is_one_of_the_cameras_errors() -> None:
     """A plane that is not the sensor's: no form of ours, and 6 % of its size is left."""
     true = np.array(BLOCKS)

@@ -25,6 +25,7 @@ from gap.validation.where import contrasts_of, stage_shares
 from gap.verdict import Share
 from gap_bench import write_set
 from gap_sets import settled_set
+from plant.effects.sensors.linearity import CALIBRATION_CURVE
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ def test_a_gauge_whose_scale_changes_is_straightened_for_the_chain(
     """
     problem = examined["neither"].problem
     gauge = next(s for s in problem.candidates if s.id == "pressure_gain")
-    curve = replace(gauge, shape={"at_0": 0.6, "at_1": 1.6, "at_2": 1.4})
+    curve = replace(gauge, shape={**CALIBRATION_CURVE, "at_0": 0.6, "at_2": 1.8})
     fit = problem.at(problem.base.shift, [curve], np.array([6.0]), problem.base)
     chain = Chain(problem, fit)
     for end, rows in chain.run(chain.stages).items():

@@ -31,6 +31,7 @@ from gap.selection.search import SearchResult, search_effects
 from gap.selection.timing import channel_with_timing_fault
 from gap.validation.empirical import empirical_term
 from gap.verdict import Estimate, Explanation, Rejection, Status, Verdict, WhyNot
+from plant.arrays import Array
 from plant.effects.catalogue import CATALOGUE
 
 
@@ -163,7 +164,10 @@ def with_empirical_term(verdict: Verdict, problem: FitProblem, search: SearchRes
 
 
 _SCALE_AT = (0.05, 1.0 / 3.0, 2.0 / 3.0, 1.0)
-"""Shares of the largest reading at which a note gives the error of a scale that changes."""
+"""Shares of the true value behind the largest reading at which a note gives the error of a scale
+that changes."""
+_INVERTED = 20
+"""Steps to that value; each leaves a third of the error at most."""
 
 
 def with_scales(verdict: Verdict, problem: FitProblem, fit: FitResult) -> Verdict:
@@ -180,12 +184,19 @@ def with_scales(verdict: Verdict, problem: FitProblem, fit: FitResult) -> Verdic
         ):
             if bend is None or read is None or not any(s.shape for s, _ in own):
                 continue
-            at = np.array(_SCALE_AT) * full
-            off = [
-                bend(at, float(a), s.shape, context) if s.shape else read(float(a))[0] * at
-                for s, a in own
-            ]
-            percent = 100.0 * np.sum(off, axis=0) / at
+
+            def off(true: Array, bend: Any = bend, read: Any = read, own: Any = own) -> Array:
+                parts = [
+                    bend(true, float(a), s.shape, context) if s.shape else read(float(a))[0] * true
+                    for s, a in own
+                ]
+                return np.asarray(np.sum(parts, axis=0))
+
+            top = np.array([full])
+            for _ in range(_INVERTED):
+                top = full - off(top)
+            at = np.array(_SCALE_AT) * top
+            percent = 100.0 * off(at) / at
             told = ", ".join(
                 f"{p:.3g} % at {value * si:.3g} {unit}"
                 for p, value in zip(percent, at, strict=True)

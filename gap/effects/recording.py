@@ -50,7 +50,7 @@ def _smoothed(values: Array, points: Points, amount: float) -> Array:
     return values + 0.5 * amount * 1e-3 * bend(points, values)
 
 
-def _mounting(points: Points, amount: float, shape: Shape) -> Array:
+def _mounting(points: Points, amount: float, shape: Shape, c: PlantConstants) -> Array:
     here = points.held & (points.mounting == int(shape["number"]))
     return np.where(here, amount * 1e-3, 0.0)
 

@@ -44,6 +44,8 @@ _STATED: Mapping[str, tuple[str, str]] = {
     "force_n": ("force_zero_n", "force_gain_percent"),
 }
 """Keys of calibration.toml for zero and gain of a channel."""
+_FULL = "full_"
+"""What the name of a scale's full value begins with."""
 SHOWN_CHI2 = 9.0
 """Chi-square from which an error is more than what is stated of the instrument: three standard
 deviations. A matter of definition."""
@@ -148,7 +150,7 @@ def _read(channel: str, true: Array, constants: PlantConstants, effects: Effects
         case "force_n":
             found = read_force(true, effects)
         case _:
-            found = true - held_offset_mm(effects)
+            found = true - held_offset_mm(true, constants, effects)
     return found
 
 
@@ -193,14 +195,15 @@ def _bent(
 ) -> _Fit:  # fmt: skip
     """The fit with a scale that bends, where each of its numbers is worth 9 in chi-square.
 
-    It goes with a power of the value, or along a calibration curve of three numbers, as plant files
-    state them; alone, or beside what else the straight fit has.
+    It goes with a power of the value, or along the curve of the effect, as plant files state them;
+    alone, or beside what else the straight fit has.
     """
-    curve = CATALOGUE[name].search.curve
-    assert curve is not None
+    search = CATALOGUE[name].search
     others = tuple(other for other in straight.ids if other != name)
     best = straight
-    for keys in (("power",), tuple(curve)):
+    for keys in (("power",), tuple(search.curve or ())):
+        if not set(keys) <= set(search.free):
+            continue
         for beside in dict.fromkeys(((), others)):
             found = _along(name, keys, beside, off, weight, own, constants)
             more = _numbers(found) - _numbers(best) if found is not None else 0
@@ -211,7 +214,7 @@ def _bent(
 
 def _numbers(fit: _Fit) -> int:
     """How many numbers were fitted: the full value of a scale is none."""
-    return len(fit.ids) + max(len(fit.scale) - 1, 0)
+    return len(fit.ids) + sum(not key.startswith(_FULL) for key in fit.scale)
 
 
 def _along(
@@ -223,13 +226,13 @@ def _along(
     true = np.array([one.true for one in own])
     if len(set(true)) < len(keys) + 2 + len(beside) or not true.max() > 0.0:
         return None
-    full = next(p.name for p in effect.parameters if p.name.startswith("full_"))
+    full = [p.name for p in effect.parameters if p.name.startswith(_FULL)]
     columns = [_unit(other, own, constants) for other in beside]
     root = np.linalg.cholesky(weight).T
 
     def scale(x: Array) -> dict[str, float]:
         numbers = dict(zip(keys, np.exp(x[1 : 1 + len(keys)]).tolist(), strict=True))
-        return {**numbers, full: float(true.max())}
+        return {**numbers, **dict.fromkeys(full, float(true.max()))}
 
     def left(x: Array) -> Array:
         stated = {str(effect.headline): float(x[0]), **scale(x)}
@@ -240,7 +243,7 @@ def _along(
         return np.asarray(root @ rest)
 
     most = effect.parameters[0].high
-    first = 100.0 * float(off[np.argmax(true)]) / float(true.max())
+    first = float(off[np.argmax(true)] / _unit(name, own, constants)[np.argmax(true)])
     start = np.r_[np.clip(first, -0.9 * most, 0.9 * most), np.zeros(len(keys) + len(beside))]
     low, high = zip(*(effect.search.free[key] for key in keys), strict=True)
     open_end = np.full(len(beside), np.inf)

@@ -17,6 +17,7 @@ from plant.arrays import Array
 from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
 from plant.effects.arguments import Context, Points, Shape
 from plant.effects.effect import InDiagnosis
+from plant.effects.sensors.linearity import BEYOND
 
 _Linearity = Callable[[Array, float, Shape, Context], Array]
 _Bend = tuple[_Linearity, Term]
@@ -50,7 +51,7 @@ def true_length(points: Points, active: Active, c: PlantConstants) -> Array:
         length = np.where(points.held, length + off[points.mounting], length)
     for term in acting:
         if term.diagnosis.length is not None and term.diagnosis is not MOUNTING:
-            length = length + term.diagnosis.length(points, term.amount, term.shape)
+            length = length + term.diagnosis.length(points, term.amount, term.shape, c)
     maps = [term for term in acting if term.diagnosis.camera is not None]
     seen = ~points.held
     if not maps or not seen.any():
@@ -151,7 +152,7 @@ def _straightened(shown: Array, bends: list[_Bend], context: Context) -> Array:
         # Many readings lie close together: between so many nodes a scale is straight, but where it
         # stops changing.
         low, high = float(np.nanmin(shown)), float(np.nanmax(shown))
-        ends = _bent(np.array([context.full_pa, context.full_n]), bends, context)
+        ends = _bent(BEYOND * np.array([context.full_pa, context.full_n]), bends, context)
         within = ends[(ends > low) & (ends < high)]
         nodes = np.sort(np.r_[np.linspace(low, high, _NODES), within])
         return np.interp(shown, nodes, _straightened(nodes, bends, context))

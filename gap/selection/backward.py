@@ -69,11 +69,12 @@ def _family(key: str) -> str:
 def drop_needless(
     problem: FitProblem, hypothesis: Hypothesis, chance: float, config: SelectionConfig = SELECTION
 ) -> Hypothesis | None:
-    """The explanation without an effect that the later ones made needless; None without one.
+    """The explanation without an effect that turned out needless; None without one.
 
-    Needless is what takes no more than `chance`.
+    Needless is what takes no more than `chance`: the later ones took its place, or, of the last
+    one, constants and shapes found a better end by way of it, and are better without it as well.
     """
-    for key in hypothesis.keys[:-1]:
+    for key in hypothesis.keys:
         if _linear_weight(hypothesis.fit, key) > config.needless_weight * chance:
             continue
         less = refitted_without(problem, hypothesis.fit, key)

@@ -17,6 +17,7 @@ from plant.arrays import Array
 from plant.constants import KEYS
 from plant.effects.arguments import Shape
 from plant.effects.catalogue import CATALOGUE
+from plant.effects.sensors.length_label import SAME_LABEL_MM
 
 MOUNTINGS = "mountings"
 """The common part of the offsets of all mountings: each offset is chance, their mean is not."""
@@ -217,14 +218,13 @@ def rivals_in_best_form(
     )
     leading = [h for h in tried[: config.rivals_in_best_form] if h.cost <= near]
     made = [
-        _in_whole_form(problem, before, in_best_form(problem, before, h, linear), config)
-        for h in leading
+        _in_whole_form(problem, in_best_form(problem, before, h, linear), config) for h in leading
     ]
     return sorted(made + tried[len(leading) :], key=lambda hypothesis: hypothesis.cost)
 
 
 def _in_whole_form(
-    problem: FitProblem, before: FitResult, hypothesis: Hypothesis, config: SelectionConfig
+    problem: FitProblem, hypothesis: Hypothesis, config: SelectionConfig
 ) -> Hypothesis:
     """The last effect with all that belongs to its form.
 
@@ -236,7 +236,7 @@ def _in_whole_form(
     if search.either:
         hypothesis = _either(problem, hypothesis, search.either, config)
     if search.curve is not None:
-        return _along_curve(problem, before, hypothesis, search.curve, config)
+        return _along_curve(problem, hypothesis, search.curve, config)
     if search.growth is None:
         return hypothesis
     gap = excess_chi2(problem, problem.base)
@@ -263,38 +263,71 @@ def _either(
 
 def _along_curve(
     problem: FitProblem,
-    before: FitResult,
     hypothesis: Hypothesis,
     curve: Shape,
     config: SelectionConfig,
 ) -> Hypothesis:
     """The last effect along a curve, where that takes most of what its other forms leave.
 
-    A curve has several numbers more, and so must be needed, and the readings must lie in many
-    parts of the range: through few levels a curve goes whatever they show.
+    A curve has several numbers more, and so must be needed, and the readings must lie in as many
+    parts of the range: through fewer levels a curve goes whatever they show.
     """
     fit = hypothesis.fit
     left = excess_chi2(problem, fit)
     if left < config.curve_of_gap * excess_chi2(problem, problem.base):
         return hypothesis
-    if _parts_of_range(problem, fit.candidates[-1]) < config.curve_levels * len(curve):
-        return hypothesis
-    others, amounts = list(before.candidates), list(before.amounts)
-    candidate = replace(fit.candidates[-1], shape=curve)
-    total = float(fit.amounts[len(others) :].sum())
-    ends = []
-    for start in (problem.fit, problem.fit_afresh):
-        end = start([*others, candidate], [*amounts, total])
-        ends.append(fit_shapes(problem, problem.polish(fit_shapes(problem, end))))
-    best = min(ends, key=lambda end: end.cost)
-    if left - excess_chi2(problem, best) < config.curve_of_left * left:
+    key = hypothesis.keys[-1]
+    best = _best_along_curve(problem, fit, key, curve)
+    if best is None or left - excess_chi2(problem, best) < config.curve_of_left * left:
         return hypothesis
     return Hypothesis(hypothesis.keys, best)
 
 
-def _parts_of_range(problem: FitProblem, candidate: Candidate) -> int:
-    """Tenths of a sensor's range in which the data have readings."""
-    if CATALOGUE[candidate.id].diagnosis.pressure_linearity is not None:
+def _best_along_curve(
+    problem: FitProblem, fit: FitResult, key: str, curve: Shape
+) -> FitResult | None:
+    """The fit with the effect of `key` along a curve; None where the data have too few levels."""
+    own = next(candidate for candidate in fit.candidates if candidate.key == key)
+    if _levels(problem, own) < len(curve) + 1:  # its numbers and the amount
+        return None
+    total = sum(
+        float(amount)
+        for candidate, amount in zip(fit.candidates, fit.amounts, strict=True)
+        if candidate.key == key
+    )
+    others, amounts = fit.kept(lambda candidate: candidate.key != key)
+    ends = []
+    for start in (problem.fit, problem.fit_afresh):
+        end = start([*others, replace(own, shape=curve)], [*amounts, total])
+        ends.append(fit_shapes(problem, problem.polish(fit_shapes(problem, end))))
+        if not excess_chi2(problem, ends[-1]):
+            break
+    return min(ends, key=lambda end: end.cost)
+
+
+def curved_instead(problem: FitProblem, before: Hypothesis, further: Hypothesis) -> Hypothesis:
+    """The explanation before with one effect along a curve, where that is as good as `further`.
+
+    What the straight form of an effect leaves looks like a further effect; else `before` itself.
+    """
+    made = [before]
+    for candidate in before.fit.candidates:
+        curve = candidate.search.curve
+        if curve is not None and not candidate.curved:
+            found = _best_along_curve(problem, before.fit, candidate.key, curve)
+            if found is not None and found.cost <= further.cost:
+                made.append(Hypothesis(before.keys, found))
+    return min(made, key=lambda hypothesis: hypothesis.cost)
+
+
+def _levels(problem: FitProblem, candidate: Candidate) -> int:
+    """Tenths of a sensor's range in which the data have readings; of labels, their number."""
+    on = CATALOGUE[candidate.id].diagnosis
+    if on.length is not None:
+        grids = problem.grid.points.values()
+        written = np.concatenate([points.length[points.held] for points in grids])
+        return len(np.unique(np.round(written / (SAME_LABEL_MM * 1e-3))))
+    if on.pressure_linearity is not None:
         read = problem.rows.pressure
     else:
         points = problem.grid.points

@@ -76,9 +76,6 @@ class SelectionConfig:
     curve_of_left: float = 0.5
     """Share of the gap that the other forms of an effect leave at least, and share of that which a
     curve must take. A matter of definition; no other values were tried."""
-    curve_levels: float = 2.0
-    """Tenths of the sensor's range with readings that a curve needs for each of its numbers.
-    Through few levels a curve goes whatever they show. No other value was tried."""
 
     # Inclusion test of a further effect
     further_visibility: float = 0.45

@@ -23,6 +23,7 @@ from gap.selection.backward import drop_needless, one_of_family, swapped
 from gap.selection.candidate_fits import (
     Hypothesis,
     LinearGains,
+    curved_instead,
     fit_further,
     is_bent,
     keys_of_shifted_constants,
@@ -100,13 +101,13 @@ def search_effects(problem: FitProblem, config: SelectionConfig = SELECTION) -> 
         chance=null.chance(float(linear.gain.max(initial=0.0))),
     )
     for _ in range(config.most_effects):
-        count = len(search.steps)
+        previous = search
         search, linear = _forward_step(problem, search, linear, fresh, config)
-        if len(search.steps) == count:
+        if search.best is previous.best:
             break
         fresh = None
         entered = search.best
-        search = _backward_steps(problem, search, config)
+        search = _backward_steps(problem, previous, search, config)
         if search.best is not entered:
             linear = linear_gains(problem, search.best.fit)
     return replace(
@@ -180,6 +181,9 @@ def _forward_step(
     if not passed:
         return search, linear
     first = passed[0]
+    instead = curved_instead(problem, before, first)
+    if instead is not before:
+        return replace(search, best=instead), linear_gains(problem, instead.fit)
     rivals = [h for h in (passed if before.keys else tried) if h is not first]
     best = Hypothesis(first.keys, problem.polish(fit_shapes(problem, problem.polish(first.fit))))
     linear = linear_gains(problem, best.fit)
@@ -266,7 +270,7 @@ def _passed(
 
 
 def _backward_steps(
-    problem: FitProblem, search: SearchResult, config: SelectionConfig
+    problem: FitProblem, previous: SearchResult, search: SearchResult, config: SelectionConfig
 ) -> SearchResult:
     """Replace two of a family by one, leave out a needless effect, and swap effects."""
     one = one_of_family(problem, search.best, search.gap, search.alarm, config)
@@ -275,6 +279,8 @@ def _backward_steps(
         search = replace(search, best=one, rivals=rivals, steps=_merged(search.steps, -2))
     if len(search.best.keys) > 1:
         less = drop_needless(problem, search.best, search.alarm, config)
+        if less is not None and search.best.keys[-1] not in less.keys:
+            return replace(previous, best=less)
         if less is not None:
             gone = next(k for k, (key, _) in enumerate(search.steps) if key not in less.keys)
             search = replace(search, best=less, rivals=[], steps=_merged(search.steps, gone))

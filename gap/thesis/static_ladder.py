@@ -237,7 +237,7 @@ class Ladder:
             effects = Effects.from_config(fit.values)
             law = ForceLaw(c, effects)
             p = (table.pressure_kpa - pressure_error(effects)[1]) * 1e3
-            length = (table.length_mm + held_offset_mm(effects)) * 1e-3
+            length = (table.length_mm + held_offset_mm(table.length_mm, c, effects)) * 1e-3
             force = law.lasting(p, length, table.temperature_c)
             force = force + self._friction(law, table, p, length)
         except PlantError:

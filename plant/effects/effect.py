@@ -115,7 +115,8 @@ class InSensors:
         force_bent: as `pressure_bent`, N.
         camera: (true length, values, constants) -> read minus true length. Raises `PlantError`.
         camera_delay: (amount) -> s by which the time stamps of frames are late.
-        held: (amount) -> mm, true minus written length of a muscle that is held.
+        held: (written length, values, constants) -> true minus written length of a muscle that is
+            held, m.
         supply: (supply, inside, params, values) -> Pa by which the supply channel shows less,
             for absolute pressures of supply and muscle while the inlet is open.
     """
@@ -127,7 +128,7 @@ class InSensors:
     force_bent: Callable[[Array, Values], Array] | None = None
     camera: Callable[[Array, Values, PlantConstants], Array] | None = None
     camera_delay: Callable[[float], float] | None = None
-    held: Callable[[float], float] | None = None
+    held: Callable[[Array, Values, PlantConstants], Array] | None = None
     supply: Callable[[float, float, Params, Values], float] | None = None
 
 
@@ -139,7 +140,7 @@ class InDiagnosis:
     1 for an effect that is there or not. All functions may be left out.
 
     Attributes:
-        length: (points, amount, shape) -> m, true minus read or written length.
+        length: (points, amount, shape, constants) -> m, true minus read or written length.
         camera: (true length, amount, shape, constants) -> m, read minus true, at all times alike.
         camera_bends: whether `camera` is no straight line of the length.
         pressure: (p, points, amount, shape) -> true pressure before gain and zero of the gauge.
@@ -168,7 +169,7 @@ class InDiagnosis:
             data, which the prediction gives, and not the amount.
     """
 
-    length: Callable[[Points, float, Shape], Array] | None = None
+    length: Callable[[Points, float, Shape, PlantConstants], Array] | None = None
     camera: Callable[[Array, float, Shape, PlantConstants], Array] | None = None
     camera_bends: bool = False
     pressure: Callable[[Array, Points, float, Shape], Array] | None = None

@@ -135,7 +135,7 @@ def run_commands(  # noqa: PLR0913 - a recording has that many named conditions
         raise PlantError(f"pressure_kpa = {pressure_kpa!r}; allowed above vacuum and up to 1200")
     params = build_params(constants, effects, source, load, mass_kg)
     if load == "isometric":
-        length_m += held_offset_mm(effects) * 1e-3
+        length_m += float(held_offset_mm(length_m * 1e3, constants, effects)) * 1e-3
     state = build_state(constants, length_m, temperature_c, trials)
     state[layout.PRESSURE] = state[layout.PRESSURE_READ] = pressure_kpa * 1e3
     sample_s = np.arange(round(duration_s * rate_hz) + 1) / rate_hz
@@ -158,10 +158,14 @@ def run_commands(  # noqa: PLR0913 - a recording has that many named conditions
     )
 
 
-def held_offset_mm(effects: Effects) -> float:
-    """True minus written length of a muscle that is held, in mm."""
-    hooks = [(effect.sensors.held, amount) for effect, amount in effects.headlines()]
-    return sum(hook(amount) for hook, amount in hooks if hook is not None)
+def held_offset_mm(written_mm: npt.ArrayLike, constants: PlantConstants, effects: Effects) -> Array:
+    """True minus written length of a muscle that is held, in mm, as `written_mm`."""
+    written_m = np.asarray(written_mm, dtype=np.float64) * 1e-3
+    off = np.zeros_like(written_m)
+    for effect, values in effects.active():
+        if effect.sensors.held is not None:
+            off = off + effect.sensors.held(written_m, values, constants) * 1e3
+    return off
 
 
 def _checked(inputs: Commands, proportional: bool) -> tuple[npt.NDArray[np.int64], Array]:

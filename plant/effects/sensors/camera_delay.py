@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from plant.constants import PlantConstants
 from plant.effects.arguments import Array, Points, Shape
 from plant.effects.effect import Effect, InDiagnosis, InSensors, Parameter, Search
 from plant.effects.standards import LAMP
@@ -14,7 +15,7 @@ def _delay(amount: float) -> float:
     return amount * 1e-3
 
 
-def _length(points: Points, amount: float, shape: Shape) -> Array:
+def _length(points: Points, amount: float, shape: Shape, c: PlantConstants) -> Array:
     late = moved(points, points.length, _delay(amount)) - points.length
     return np.where(points.held, 0.0, late)
 

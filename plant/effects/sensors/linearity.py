@@ -14,8 +14,13 @@ from plant.effects.effect import Parameter
 
 POWERS = (0.3, 3.0)
 """What a bend may be: from one at the foot of the range to one at its upper end."""
-_CURVE = ("at_0", "at_1", "at_2")
-"""Control points of a calibration curve at 0, 1/3 and 2/3 of the full value, over that at it."""
+_CURVE = ("at_0", "at_1", "at_2", "at_3", "at_4")
+"""Control points of a calibration curve at each fifth of the full value, over that at it."""
+_PLACES = ("zero", "1/5 of full", "2/5 of full", "3/5 of full", "4/5 of full")
+BEYOND = 1.5
+"""Times the full value up to which a scale goes on changing: what 30 % too little need."""
+_LARGEST_LOG = math.log(10.0)
+"""Of what a curve may be off by, over that at the full value."""
 _FULL = "full"
 """Full value, SI, of a scale that a plant file states."""
 FREE: Mapping[str, tuple[float, float]] = {"power": POWERS, **dict.fromkeys(_CURVE, (0.1, 10.0))}
@@ -52,7 +57,7 @@ class Scale:
             Parameter("power", "", "of true / full that the error in percent goes with", 0, 3, 0.0),
             *(
                 Parameter(name, "", f"error in percent at {share} over that at full", 0.1, 10, 1.0)
-                for name, share in zip(_CURVE, ("zero", "1/3 of full", "2/3 of full"), strict=True)
+                for name, share in zip(_CURVE, _PLACES, strict=True)
             ),
             Parameter(
                 self._full, self.unit, "true value at which percent is stated", 1, 1e5, self.usual
@@ -92,19 +97,25 @@ def linearity(value: Array, full: float, shape: Shape) -> Array:
     """Error of a scale of this shape that is off by all there is at the full value, in its unit.
 
     The scale is off by a share that grows with a power of the value, times one whose logarithm is a
-    polynomial of the third degree (in Bernstein's form): a linearity error between zero and the
-    full value (IEC 61298-2). Beyond the full value it is off by what it is there. Zero for a
-    straight scale. A full value in the shape takes the place of `full`.
+    polynomial of the fifth degree (in Bernstein's form): a linearity error between zero and the
+    full value (IEC 61298-2). Zero for a straight scale. A full value in the shape takes the place
+    of `full`.
+
+    The scale goes on changing up to `BEYOND` times the full value: a diagnosis knows the largest
+    reading, and the true value behind it is larger where the sensor shows too little. From there on
+    it is off by what it is there.
     """
     if not shape:
         return np.zeros_like(value)
-    x = np.minimum(np.abs(value / shape.get(_FULL, full)), 1.0)
+    x = np.minimum(np.abs(value / shape.get(_FULL, full)), BEYOND)
     error = value
     if "power" in shape:
         error = error * x ** shape["power"]
     if _CURVE[0] in shape:
+        count = len(_CURVE)
         y = 1.0 - x
-        at_0, at_1, at_2 = (math.log(shape[key]) for key in _CURVE)
-        bent = y * (y * (y * at_0 + 3.0 * x * at_1) + 3.0 * x * x * at_2)
-        error = error * np.exp(bent)
+        bent = np.zeros_like(x)
+        for k, key in enumerate(_CURVE):
+            bent = bent + math.comb(count, k) * x**k * y ** (count - k) * math.log(shape[key])
+        error = error * np.exp(np.clip(bent, -_LARGEST_LOG, _LARGEST_LOG))
     return np.asarray(error)

@@ -45,7 +45,9 @@ class SensorError:
         self._effects = self.plant.effects
         self._pressure = pressure_error(self._effects)
         self._force = force_error(self._effects)
-        self._label_mm = held_offset_mm(self._effects)
+        self._label_mm = float(  # one at every length: `check` refuses other errors of a scale
+            held_offset_mm(self.plant.length_mm, self.plant.constants, self._effects)
+        )
         self._delay_s = camera_delay_s(self._effects)
         active = self._effects.active()
         self._ages = any(effect.plant.scale is not None for effect, _ in active)
