@@ -17,7 +17,7 @@ from gap.decision.classify import _channels
 from gap.estimation.cross_validation import HeldOut
 from gap.reason import Cause, Reason
 from gap.reporting.text import gap_sentences
-from gap.verdict import Experiment, Status, Verdict
+from gap.verdict import Experiment, Explanation, Gap, Status, Verdict
 from rigs.rigfile.config import load_rig
 
 
@@ -61,6 +61,20 @@ def test_without_a_named_effect_the_channel_farthest_above_its_floor_comes_first
         named=False,
     )
     assert [gap.unit for gap in found] == ["kPa", "mm"]
+
+
+def test_a_gap_that_one_slot_alone_shows_is_not_said_to_grow_without_a_reason() -> None:
+    """0.149 kPa before a leak was found and 1.05 with it: each slot was left out in turn."""
+    gap = Gap("kPa", 0.2, 0.149, 1.05, 0.1, "replicates", held_out="slot")
+    verdict = Verdict(
+        Status.NAMED, Reason(Cause.NO_GAP), None, (Explanation(("leak",), "leak", 0.95),), 0.0, 0.0,
+        gap=gap, channels=(gap,),
+    )  # fmt: skip
+    text = " ".join(gap_sentences(verdict))
+    assert "1.05 kPa remain. Each slot was left out in turn" in text
+    smaller = replace(gap, after=0.12)
+    verdict = replace(verdict, gap=smaller, channels=(smaller,))
+    assert "left out" not in " ".join(gap_sentences(verdict))
 
 
 EXPERIMENT = Experiment("isometric", {"repeats": 2}, 5.0, 9.0, 6, ("creep", "wear"), "measure more")

@@ -346,5 +346,7 @@ def label_shift(form: float, length: float) -> float:
     """Error of a held length over the stated one."""
     if form == 3.0:  # the screw's own error repeats with its pitch
         return float(1.0 + 0.12 * math.sin(2.0 * math.pi * length / 2.6))
+    if form == 5.0:  # a scale in two sections, the upper one set against the lower one
+        return 0.73 if length < 59.3 else 1.31
     tilt = (length - STATED_MM) / 6.2  # an arm that tilts as it is drawn out
     return float(1.0 + 0.37 * tilt * tilt)

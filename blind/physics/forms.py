@@ -231,6 +231,7 @@ _TABLE: dict[str, tuple[tuple[str, str], ...]] = {
         ("g (1.13 - 0.13 x^2)",
          "Timoshenko and Woinowsky-Krieger, Plates and Shells, 1959 (large deflection)"),
         ("g (1 + 0.17 sin(pi x))", _IEC61298 + ", S-shaped"),
+        ("g (1, from 371 kPa on 0.57)", _FRADEN + " (an amplifier that changes its range)"),
     ),
     "pressure_lag": (
         ("first order", _DOEBELIN),
@@ -263,6 +264,7 @@ _TABLE: dict[str, tuple[tuple[str, str], ...]] = {
         ("o (1 +- 0.1) by mounting", "ISO 230-2:2014 (repeatability)"),
         ("o (1 + 0.12 sin(2 pi L/2.6))", "ISO 230-2:2014 (periodic error of a screw)"),
         ("o (1 + 0.37 ((L-60)/6.2)^2)", "Abbe 1890; Bryan, Precis. Eng. 1 (1979) 129"),
+        ("o (0.73, from 59.3 mm on 1.31)", "ISO 230-2:2014 (joint of a scale in two sections)"),
     ),
     "camera_scale": (
         ("g", "Hartley and Zisserman, Multiple View Geometry, 2004"),

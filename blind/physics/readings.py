@@ -36,6 +36,8 @@ def pressure_span(form: float, tap: Floats) -> Floats:
         return np.asarray(0.64 + 0.36 * x * (2.0 - x))
     if form == 4.0:  # the membrane stiffens
         return np.asarray(1.13 - 0.13 * x**2)
+    if form == 6.0:  # the amplifier takes its next range, which is adjusted otherwise
+        return np.where(tap < 371.0, 1.0, 0.57)
     return np.asarray(1.0 + 0.17 * np.sin(np.pi * x))  # S-shaped
 
 

@@ -135,6 +135,11 @@ def gap_sentences(verdict: Verdict) -> list[str]:
     ]
     if gap.after is not None and verdict.effects and verdict.status.explained:
         text.append(f"With what was found {gap.after:.3g} {gap.unit} remain.")
+        if gap.held_out is not None and gap.after > gap.recalibrated:
+            text.append(
+                f"Each {gap.held_out} was left out in turn: what one {gap.held_out} alone shows "
+                "cannot be learnt from the others."
+            )
     if gap.floor is not None:
         source = {
             "replicates": "replicates of the same setting differ by",
