@@ -166,8 +166,8 @@ def with_empirical_term(verdict: Verdict, problem: FitProblem, search: SearchRes
 _SCALE_AT = (0.05, 1.0 / 3.0, 2.0 / 3.0, 1.0)
 """Shares of the true value behind the largest reading at which a note gives the error of a scale
 that changes."""
-_INVERTED = 20
-"""Steps to that value; each leaves a third of the error at most."""
+_SCALE_STEPS = 401
+"""Values among which that one is sought; a note has three digits."""
 
 
 def with_scales(verdict: Verdict, problem: FitProblem, fit: FitResult) -> Verdict:
@@ -192,9 +192,8 @@ def with_scales(verdict: Verdict, problem: FitProblem, fit: FitResult) -> Verdic
                 ]
                 return np.asarray(np.sum(parts, axis=0))
 
-            top = np.array([full])
-            for _ in range(_INVERTED):
-                top = full - off(top)
+            true = np.linspace(0.0, 2.0 * full, _SCALE_STEPS)
+            top = np.interp(full, np.maximum.accumulate(true + off(true)), true)
             at = np.array(_SCALE_AT) * top
             percent = 100.0 * off(at) / at
             told = ", ".join(

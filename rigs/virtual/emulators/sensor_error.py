@@ -31,7 +31,7 @@ def refuse_changing_scales(effects: Effects) -> None:
         if effect.sensors.scale_changes is not None and effect.sensors.scale_changes(values):
             raise PlantError(
                 f"effects.{effect.id}: the virtual instruments have straight scales; "
-                "state percent alone"
+                f"state {effect.headline} alone"
             )
 
 
@@ -45,9 +45,9 @@ class SensorError:
         self._effects = self.plant.effects
         self._pressure = pressure_error(self._effects)
         self._force = force_error(self._effects)
-        self._label_mm = float(  # one at every length: `check` refuses other errors of a scale
-            held_offset_mm(self.plant.length_mm, self.plant.constants, self._effects)
-        )
+        # One at every length: a scale that changes is refused.
+        label_mm = held_offset_mm(self.plant.length_mm, self.plant.constants, self._effects)
+        self._label_mm = float(label_mm)
         self._delay_s = camera_delay_s(self._effects)
         active = self._effects.active()
         self._ages = any(effect.plant.scale is not None for effect, _ in active)
