@@ -168,6 +168,25 @@ def test_a_hose_whose_wall_stiffens_holds_the_gas_that_came_in(soft_kpa: float) 
     assert (wide + C.atmosphere_pa) * (volume + gained) == pytest.approx(gas, rel=2e-3)
 
 
+@pytest.mark.parametrize(("late", "rigid"), [(0.4, 0.2), (3.0, 0.01), (0.01, 5.0)])
+def test_a_wall_that_gives_way_ever_less_holds_the_gas_that_came_in(
+    late: float, rigid: float
+) -> None:
+    """Two exponential laws and a part that does not widen; 2 ml at 300 kPa, whatever the parts."""
+    pulse = [(0.06, 1), (0.068, 0)]
+    shape = {"soft_kpa": 85.0, "late_kpa": 330.0, "late": late, "rigid": rigid}
+    plain = course("dead_volume", "", 0.0, {}, pulse)[-1]
+    wide = course("dead_volume", "", 2.0, shape, pulse)[-1]
+    volume = muscle.braid_volume(HELD_M, C.braid_length_m, C.turns) + C.dead_volume_m3
+
+    def law(pa: float, kpa: float) -> float:
+        return float(np.expm1(-pa / (kpa * 1e3)) / np.expm1(-300.0 / kpa))
+
+    gained = 2e-6 * (law(wide, 85.0) + late * law(wide, 330.0) + rigid) / (1.0 + late + rigid)
+    gas = (plain + C.atmosphere_pa) * volume + C.atmosphere_pa * 2e-6 * rigid / (1 + late + rigid)
+    assert (wide + C.atmosphere_pa) * (volume + gained) == pytest.approx(gas, rel=2e-3)
+
+
 @pytest.mark.parametrize("yields_s", [0.02, 0.23, 3.0])
 def test_a_hose_whose_wall_yields_by_and_by_is_that_of_scipy(yields_s: float) -> None:
     """A Voigt wall: after a choked pulse all gas stays, and the volume comes after the pressure."""

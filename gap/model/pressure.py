@@ -106,6 +106,11 @@ def _widening(q: Any, p: float, at: float) -> float:
     if q[stage.STIFFENING] != 0.0:
         soft = math.exp(-p / q[stage.STIFFENING_PA])
         wide += q[stage.STIFFENING] * (1.0 - soft + (p + at) / q[stage.STIFFENING_PA] * soft)
+    if q[stage.STIFFENING_LATE] != 0.0:
+        late = math.exp(-p / q[stage.STIFFENING_LATE_PA])
+        wide += q[stage.STIFFENING_LATE] * (
+            1.0 - late + (p + at) / q[stage.STIFFENING_LATE_PA] * late
+        )
     return float(wide)
 
 

@@ -20,7 +20,16 @@ def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
 
 
 def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
-    if "elastic" in shape:
+    if "late_kpa" in shape:
+        # Any wall that gives way ever less: two exponential laws, and a part that does not widen.
+        soft, late = 1e3 * shape["soft_kpa"], 1e3 * shape["late_kpa"]
+        unit = amount * 1e-6 / (1.0 + shape["late"] + shape["rigid"])
+        params[stage.STIFFENING] += unit / -math.expm1(-_STATED_PA / soft)
+        params[stage.STIFFENING_PA] = soft
+        params[stage.STIFFENING_LATE] += unit * shape["late"] / -math.expm1(-_STATED_PA / late)
+        params[stage.STIFFENING_LATE_PA] = late
+        params[layout.DEAD_VOLUME] += unit * shape["rigid"]
+    elif "elastic" in shape:
         params[stage.ELASTIC] += amount * 1e-6 / _STATED_PA
     elif "soft_kpa" in shape:
         # An exponential law of the wall, as of blood vessels: stated as the linear one.
@@ -74,6 +83,14 @@ DEAD_VOLUME = Effect(
             {"line_s": 0.06},
             {"line_s": 0.03, "orifice": 1.0},
         ),
-        free={"line_s": (0.001, 0.3), "soft_kpa": (20.0, 1500.0), "yields_s": (0.01, 5.0)},
+        free={
+            "line_s": (0.001, 0.3),
+            "soft_kpa": (20.0, 1500.0),
+            "yields_s": (0.01, 5.0),
+            "late_kpa": (100.0, 3000.0),
+            "late": (0.01, 100.0),
+            "rigid": (0.01, 100.0),
+        },
+        curve={"soft_kpa": 90.0, "late_kpa": 400.0, "late": 0.5, "rigid": 0.5},
     ),
 )
