@@ -6,6 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from gap.model import force as laws
@@ -13,6 +15,7 @@ from gap.model import pressure as chamber
 from gap.model.force import Active, Context
 from plant.constants import nominal
 from plant.effects import pressure_stage as stage
+from plant.effects.catalogue import CATALOGUE
 from plant.physics import layout, muscle
 from test_gap_shapes import still
 
@@ -311,3 +314,15 @@ def rubbed(length_mm: np.ndarray, pressure: np.ndarray, direction: np.ndarray) -
     )
     context, stuck = Context(C, np.zeros(1)), ("link_friction", "", 2.0, {"travel_mm": 0.2})
     return laws.load_pull(points, [stuck], context) - laws.load_pull(points, [], context)
+
+
+@given(st.floats(10.0, 1500.0), st.floats(0.0, 700e3))
+def test_threads_that_lose_their_crimp_give_way_ever_less(crimp_kpa: float, p: float) -> None:
+    """Withheld bench 1088: `end_cap` was taken for it, and then no nominal plant fitted."""
+    stretch = CATALOGUE["fibre_stretch"].diagnosis.stretch
+    assert stretch is not None
+    at = np.array([0.0, p, p + 1e3, 500e3])
+    share = stretch(at, np.full(4, 0.06), 2.0, {"crimp_kpa": crimp_kpa}, C)
+    assert share[0] == 0.0
+    assert share[3] == pytest.approx(0.02)
+    assert share[2] >= share[1] >= min(p / 500e3, 1.0) * 0.02 * (1.0 - 1e-9)

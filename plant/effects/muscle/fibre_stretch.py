@@ -26,6 +26,10 @@ def _stretch(p: Array, length: Array, amount: float, shape: Shape, c: PlantConst
         # Tension of a thread: pressure on the wall, more where the muscle is thick and short.
         b2 = c.braid_length_m**2
         share = p / FULL_PRESSURE_PA * (b2 - length**2) / (b2 - LENGTH_M**2)
+    elif "crimp_kpa" in shape:
+        # The slack of a weave is taken up: after that the threads give way no more.
+        crimp = 1e3 * shape["crimp_kpa"]
+        share = np.expm1(-np.maximum(p, 0.0) / crimp) / np.expm1(-FULL_PRESSURE_PA / crimp)
     else:
         share = (np.maximum(p, 0.0) / FULL_PRESSURE_PA) ** shape["power"]
     return amount * 1e-2 * share
@@ -52,8 +56,8 @@ FIBRE_STRETCH = Effect(
         step=0.1,
         sign=1,
         blocks=("force", "load"),
-        shapes=({"power": 1.0}, {"power": 0.5}, {"tension": 1.0}),
-        free={"power": (0.3, 2.0)},
+        shapes=({"power": 1.0}, {"power": 0.5}, {"tension": 1.0}, {"crimp_kpa": 150.0}),
+        free={"power": (0.3, 2.0), "crimp_kpa": (10.0, 1500.0)},
         settled={"stretch_percent": (0.5, 0.0, 8.0)},
     ),
 )
