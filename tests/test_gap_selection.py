@@ -22,7 +22,7 @@ from gap.selection.inclusion import (
     step_statistics,
 )
 from gap.selection.pruning import prune
-from gap.selection.search import SearchResult
+from gap.selection.search import SearchResult, _merged
 from gap_bench import write_set
 from gap_sets import fitted, table_with_two_effects
 
@@ -49,6 +49,14 @@ def test_an_effect_by_way_of_which_the_others_found_their_end_leaves_again(
     two = drop_needless(table, with_wear, chance=30.0)
     assert two is not None
     assert two.keys == ("liner_threshold", "force_gain")
+
+
+def test_the_gain_of_a_step_that_is_taken_back_counts_to_its_neighbour() -> None:
+    """Two of a family became one, then the last effect left: a step too many broke the search."""
+    steps = (("gauge", 900.0), ("tube", 50.0), ("wear", 30.0))
+    assert _merged(steps, -2) == (("gauge", 900.0), ("wear", 80.0))
+    assert _merged(steps, -1) == (("gauge", 900.0), ("tube", 80.0))
+    assert _merged(_merged(steps, -2), -1) == (("gauge", 980.0),)
 
 
 def test_an_effect_in_another_s_place_gives_it_back(table: FitProblem) -> None:

@@ -280,7 +280,8 @@ def _backward_steps(
     if len(search.best.keys) > 1:
         less = drop_needless(problem, search.best, search.alarm, config)
         if less is not None and search.best.keys[-1] not in less.keys:
-            return replace(previous, best=less)
+            rivals = previous.rivals if less.keys == previous.best.keys else []
+            return replace(search, best=less, rivals=rivals, steps=_merged(search.steps, -1))
         if less is not None:
             gone = next(k for k, (key, _) in enumerate(search.steps) if key not in less.keys)
             search = replace(search, best=less, rivals=[], steps=_merged(search.steps, gone))
@@ -290,8 +291,11 @@ def _backward_steps(
 
 
 def _merged(steps: Steps, gone: int) -> Steps:
-    """Steps without one of them, its gain added to that of the next."""
+    """Steps without one of them, its gain added to that of the next, or of the one before."""
     gone %= len(steps)
+    if gone == len(steps) - 1:
+        key, gain = steps[-2]
+        return (*steps[:-2], (key, gain + steps[-1][1]))
     key, gain = steps[gone + 1]
     return (*steps[:gone], (key, gain + steps[gone][1]), *steps[gone + 2 :])
 
