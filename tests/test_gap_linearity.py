@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from gap.data.dataset import DataSet
@@ -54,6 +54,9 @@ def test_at_the_full_value_the_scale_is_off_by_what_is_stated(percent: float, sh
 
 
 @given(AMOUNTS, SHAPES, st.floats(-3.0, 3.0))
+@example(
+    -9.0, {**CALIBRATION_CURVE, "at_3": 4.0, "at_4": 10.0}, 0.0
+)  # Newton's steps went in a ring
 def test_a_force_read_and_taken_back_is_the_force(
     percent: float, shape: Shape, zero: float
 ) -> None:

@@ -26,7 +26,7 @@ _Bend = tuple[_Linearity, Term]
 _INVERTED = 5
 _INVERTED_M = 1e-12
 """Most steps of an inversion, and the step from which on it is exact."""
-_STRAIGHTENED = 20
+_STRAIGHTENED = 40
 _STRAIGHTENED_SHARE = 1e-4
 """Most steps of Newton's method that free a reading of a bend, and that of its slope, as a share of
 the largest reading; a hundredth of which ends it."""
@@ -158,11 +158,17 @@ def _straightened(shown: Array, bends: list[_Bend], context: Context) -> Array:
         return np.interp(shown, nodes, _straightened(nodes, bends, context))
     straight = shown
     step = _STRAIGHTENED_SHARE * max(float(np.nanmax(np.abs(shown), initial=0.0)), 1e-9)
+    bent = _bent(straight, bends, context)
+    pace = np.ones_like(straight)
     for _ in range(_STRAIGHTENED):
-        bent = _bent(straight, bends, context)
         slope = (_bent(straight + step, bends, context) - bent) / step
-        nearer = (shown - bent) / np.maximum(slope, _LEAST_SLOPE)
-        straight = straight + nearer
+        nearer = pace * (shown - bent) / np.maximum(slope, _LEAST_SLOPE)
+        then = _bent(straight + nearer, bends, context)
+        # Across a strong bend a whole step may lead to and fro for ever.
+        better = np.abs(shown - then) <= np.abs(shown - bent)
+        straight = np.where(better, straight + nearer, straight)
+        bent = np.where(better, then, bent)
+        pace = np.where(better, 1.0, 0.5 * pace)
         if float(np.nanmax(np.abs(nearer), initial=0.0)) < 0.01 * step:
             break
     return straight
