@@ -54,6 +54,7 @@ def test_the_virtual_stage_has_one_offset() -> None:
 
 
 def test_labels_that_a_bowed_slide_bends_are_labels_alone(tmp_path: Path) -> None:
+    """Of the plant's own form: what is shown is that the search takes it for no second effect."""
     folder = tmp_path / "set"
     write_set(folder, {"length_label": {"offset_mm": -0.5, "short": 1.9, "long": 2.3}}, seed=3)
     verdict, _, search = diagnose_with_search(read_dataset(folder))

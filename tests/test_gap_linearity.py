@@ -54,12 +54,11 @@ def test_at_the_full_value_the_scale_is_off_by_what_is_stated(percent: float, sh
 
 
 @given(AMOUNTS, SHAPES, st.floats(-3.0, 3.0))
-@example(
-    -9.0, {**CALIBRATION_CURVE, "at_3": 4.0, "at_4": 10.0}, 0.0
-)  # Newton's steps went in a ring
+@example(-9.0, {**CALIBRATION_CURVE, "at_3": 4.0, "at_4": 10.0}, 0.0)
 def test_a_force_read_and_taken_back_is_the_force(
     percent: float, shape: Shape, zero: float
 ) -> None:
+    """The example is one of which Newton's whole steps went to and fro for ever."""
     bent: Active = [
         ("force_gain", "", percent, shape), ("force_gain", "", -2.0, {}),
         ("force_zero", "", zero, {}),

@@ -149,7 +149,7 @@ def test_what_a_calibration_states_is_no_error() -> None:
 
 
 def test_labels_that_a_bowed_slide_bends_are_told_by_gauge_blocks_between_the_holders() -> None:
-    """Abbe's error, no parabola of ours: it grows with the square from a length near the middle."""
+    """Abbe's error: it grows with the square from a length that is not the middle of the range."""
     true = np.array([50.0, 54.0, 58.0, 62.0, 66.0, 70.0])
     label = -0.5 * (1.0 + 0.01 * (true - 60.0) ** 2)
     found = check_standards(data_with(readings("held_length_mm", true, -label)))

@@ -32,6 +32,7 @@ from gap.selection.timing import channel_with_timing_fault
 from gap.validation.empirical import empirical_term
 from gap.verdict import Estimate, Explanation, Rejection, Status, Verdict, WhyNot
 from plant.arrays import Array
+from plant.effects.arguments import Context
 from plant.effects.catalogue import CATALOGUE
 
 
@@ -170,6 +171,17 @@ _SCALE_STEPS = 401
 """Values among which that one is sought; a note has three digits."""
 
 
+def _off(
+    true: Array, own: Sequence[tuple[Candidate, float]], bend: Any, read: Any, context: Context
+) -> Array:
+    """What a sensor shows too much at true values, by the parts of one effect."""
+    parts = [
+        bend(true, float(a), s.shape, context) if s.shape else read(float(a))[0] * true
+        for s, a in own
+    ]
+    return np.asarray(np.sum(parts, axis=0))
+
+
 def with_scales(verdict: Verdict, problem: FitProblem, fit: FitResult) -> Verdict:
     """The verdict with a note on each scale of an explanation that changes over the range."""
     context = problem.model.context(problem.constants(fit.shift), fit.active)
@@ -184,18 +196,11 @@ def with_scales(verdict: Verdict, problem: FitProblem, fit: FitResult) -> Verdic
         ):
             if bend is None or read is None or not any(s.shape for s, _ in own):
                 continue
-
-            def off(true: Array, bend: Any = bend, read: Any = read, own: Any = own) -> Array:
-                parts = [
-                    bend(true, float(a), s.shape, context) if s.shape else read(float(a))[0] * true
-                    for s, a in own
-                ]
-                return np.asarray(np.sum(parts, axis=0))
-
             true = np.linspace(0.0, 2.0 * full, _SCALE_STEPS)
-            top = np.interp(full, np.maximum.accumulate(true + off(true)), true)
+            shown = true + _off(true, own, bend, read, context)
+            top = np.interp(full, np.maximum.accumulate(shown), true)
             at = np.array(_SCALE_AT) * top
-            percent = 100.0 * off(at) / at
+            percent = 100.0 * _off(at, own, bend, read, context) / at
             told = ", ".join(
                 f"{p:.3g} % at {value * si:.3g} {unit}"
                 for p, value in zip(percent, at, strict=True)

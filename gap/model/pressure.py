@@ -97,6 +97,13 @@ def laminar_drop(absolute: float, outside: float) -> float:
 
 
 @inlined
+def _stiffening(most: float, within: float, p: float, at: float) -> float:
+    """The same of a wall that takes up `most` m3 at last, most of it within a pressure in Pa."""
+    soft = math.exp(-p / within)
+    return float(most * (1.0 - soft + (p + at) / within * soft))
+
+
+@inlined
 def _widening(q: Any, p: float, at: float) -> float:
     """Volume by which a hose that widens seems larger, m3.
 
@@ -104,13 +111,9 @@ def _widening(q: Any, p: float, at: float) -> float:
     """
     wide = q[stage.ELASTIC] * (2.0 * p + at)
     if q[stage.STIFFENING] != 0.0:
-        soft = math.exp(-p / q[stage.STIFFENING_PA])
-        wide += q[stage.STIFFENING] * (1.0 - soft + (p + at) / q[stage.STIFFENING_PA] * soft)
+        wide += _stiffening(q[stage.STIFFENING], q[stage.STIFFENING_PA], p, at)
     if q[stage.STIFFENING_LATE] != 0.0:
-        late = math.exp(-p / q[stage.STIFFENING_LATE_PA])
-        wide += q[stage.STIFFENING_LATE] * (
-            1.0 - late + (p + at) / q[stage.STIFFENING_LATE_PA] * late
-        )
+        wide += _stiffening(q[stage.STIFFENING_LATE], q[stage.STIFFENING_LATE_PA], p, at)
     return float(wide)
 
 

@@ -19,22 +19,26 @@ def _slots(values: Values, c: PlantConstants) -> dict[int, float]:
     return {layout.DEAD_VOLUME: c.dead_volume_m3 + float(values["volume_ml"]) * 1e-6}
 
 
+def _most(volume_ml: float, soft_pa: float) -> float:
+    """What a wall takes up at most, m3, that has taken up a volume at `_STATED_PA`."""
+    return volume_ml * 1e-6 / -math.expm1(-_STATED_PA / soft_pa)
+
+
 def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
     if "late_kpa" in shape:
         # Any wall that gives way ever less: two exponential laws, and a part that does not widen.
-        soft, late = 1e3 * shape["soft_kpa"], 1e3 * shape["late_kpa"]
-        unit = amount * 1e-6 / (1.0 + shape["late"] + shape["rigid"])
-        params[stage.STIFFENING] += unit / -math.expm1(-_STATED_PA / soft)
-        params[stage.STIFFENING_PA] = soft
-        params[stage.STIFFENING_LATE] += unit * shape["late"] / -math.expm1(-_STATED_PA / late)
+        part = amount / (1.0 + shape["late"] + shape["rigid"])
+        _gas(params, part, option, {"soft_kpa": shape["soft_kpa"]})
+        _gas(params, part * shape["rigid"], option, {})
+        late = shape["late_kpa"] * 1e3
+        params[stage.STIFFENING_LATE] += _most(part * shape["late"], late)
         params[stage.STIFFENING_LATE_PA] = late
-        params[layout.DEAD_VOLUME] += unit * shape["rigid"]
     elif "elastic" in shape:
         params[stage.ELASTIC] += amount * 1e-6 / _STATED_PA
     elif "soft_kpa" in shape:
         # An exponential law of the wall, as of blood vessels: stated as the linear one.
         soft = shape["soft_kpa"] * 1e3
-        params[stage.STIFFENING] += amount * 1e-6 / -math.expm1(-_STATED_PA / soft)
+        params[stage.STIFFENING] += _most(amount, soft)
         params[stage.STIFFENING_PA] = soft
     elif "yields_s" in shape:
         # A viscoelastic wall (Voigt element), as of rubber hoses: stated as the elastic one.
