@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -151,7 +152,8 @@ def traces(examined: Examination) -> Figure | None:
             axes.plot(
                 trace.x, trace.after, color=GREEN, lw=2.2, ls=":", label="with what was found"
             )
-        axes.set_title(f"trial {trace.trial}", fontsize=9.5)
+        # The name of a trial of a run is wider than one of three panels.
+        axes.set_title(textwrap.fill(f"trial {trace.trial}", _TITLE_WIDTH), fontsize=9.5)
         axes.set_xlabel("pressure, kPa" if trace.settled else "time, s")
     grid[0][0].set_ylabel(f"{_QUANTITY.get(field.block, field.block)}, {field.unit}")
     lines, labels = grid[0][0].get_legend_handles_labels()
@@ -164,6 +166,8 @@ def _explained(field: Field) -> bool:
     return not np.array_equal(field.before, field.after)
 
 
+_TITLE_WIDTH = 26
+"""Characters in a line above a panel."""
 _QUANTITY = {"camera": "length shown"}
 
 
