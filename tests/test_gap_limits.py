@@ -207,6 +207,21 @@ def test_gains_in_the_place_of_another_muscle_leave_it_refused(folder: Path) -> 
     assert doubts_left(problem, fit, gap, left) == refused
 
 
+def test_another_muscle_that_leaves_a_third_of_a_gap_does_not_explain_it(tmp_path: Path) -> None:
+    """At one length it does 70 % of what threads do that stretch by a tenth: bench 1107."""
+    data = open_data(
+        write_set(tmp_path / "threads", {"fibre_stretch": {"stretch_percent": 9.0}}, 3, 2)
+    )
+    held = tuple(trial for trial in data.trials if trial.held_length_mm == 55.0)
+    problem = FitProblem.of(replace(data, trials=held))
+    assert doubts(problem, problem.base)
+    fit = problem.polish(problem.fit_effects(["fibre_stretch"]))
+    gap, left = (excess_chi2(problem, one) for one in (problem.base, fit))
+    other = problem.with_free_constants(("braid_length_mm", "turns"), 0.2)
+    assert 0.2 * gap < excess_chi2(other, other.base) < 0.5 * gap
+    assert doubts_left(problem, fit, gap, left) == []
+
+
 def test_a_length_that_is_a_copied_label_is_no_channel(folder: Path) -> None:
     trials = table(folder, "trials").set_index("trial")
     samples = table(folder)

@@ -111,19 +111,25 @@ def _is_another_muscle(
     """Whether a muscle of other length and turns does what the effects do, or one of them.
 
     Such an effect may only stand for it: without the effect, more is left of the nominal muscle
-    and not of the other one. What takes a small part of the gap stands for no muscle.
+    and not of the other one. What takes a small part of the gap stands for no muscle. Nor does an
+    effect without which the other muscle leaves more than a small part of the gap, if with the
+    effects the muscle stays what it is: the data then hold no other one.
     """
     other = problem.with_free_constants(_MUSCLE, config.another_muscle)
     if (other.base.cost - len(problem.rows)) * config.doubt_left < left:
         return True
     whole = _best_fit(other, _in_sd_of(other, problem, fit.shift), *fit.kept(lambda _: True))
+    # Where length and turns are free to go, do the data ask for others beside the effects?
+    moved = replace(whole, shift=_in_sd_of(problem, other, whole.shift))
+    near = not any(_constants(problem, moved, config))
     for name in fit.ids:
         kept = fit.kept(partial(_is_other, name))
         lost = _best_fit(problem, fit.shift, *kept).cost - fit.cost
         if lost < config.doubt_left * gap:
             continue
         other_lost = _best_fit(other, whole.shift, *kept).cost - whole.cost
-        if other_lost < config.stands_for_muscle * lost:
+        alike = not near or other_lost < config.doubt_left * gap
+        if alike and other_lost < config.stands_for_muscle * lost:
             return True
     return False
 
