@@ -21,6 +21,7 @@ from gap.model.empirical import (
     inputs_of,
     point_inputs_of,
     risen,
+    shown_too_much,
     valve_flows,
 )
 from gap.model.features import BLOCKS
@@ -31,7 +32,7 @@ from gap.validation.empirical import empirical_term
 from gap.verdict import Status, Verdict
 from gap_bench import write_set
 from plant.constants import PlantConstants, nominal
-from plant.effects.empirical import EDGES_LATE, INLET_FLOW, LATE, OUTLET_FLOW
+from plant.effects.empirical import EDGES_LATE, INLET_FLOW, LATE, OUTLET_FLOW, READING
 
 Array = npt.NDArray[np.float64]
 NOISE_KPA = 0.4
@@ -175,6 +176,51 @@ def test_a_flow_in_proportion_is_near_what_the_simulated_gas_does(
         shown = valve_problem.model.pressure_with_flow(flow, c, valve_problem.base.active)
         does = residual_of(valve_problem, c) - shown
         assert np.abs(does - raised).mean() < 0.2 * np.abs(does).mean()
+
+
+def pressure_of(problem: FitProblem, *active: tuple[str, float]) -> Array:
+    """What effects leave of the pressure beside the stated ones, at the stated constants."""
+    acting = [(name, "", amount, {}) for name, amount in active]
+    found = problem.model.residual(
+        problem.data.constants, [*problem.base.active, *acting], ("pressure",)
+    )
+    return np.asarray(found["pressure"])
+
+
+def test_an_error_of_the_gauge_that_is_the_same_everywhere_is_its_zero(
+    valve_problem: FitProblem,
+) -> None:
+    problem, c = valve_problem, valve_problem.data.constants
+    flow = Flow({READING: np.full(len(problem.grid.points["pressure"].time_s), 5.0)})
+    shown = problem.model.pressure_with_flow(flow, c, problem.base.active)
+    expected = pressure_of(problem, ("pressure_zero", 5.0))
+    assert np.abs(expected - residual_of(problem, c)).max() > 1.0
+    assert shown == pytest.approx(expected, abs=1e-6)
+
+
+def test_an_error_of_the_gauge_in_proportion_to_its_reading_is_its_gain(
+    valve_problem: FitProblem,
+) -> None:
+    """What is 4 % too much of the pressure is 4/104 of the reading, noise and all."""
+    problem, c = valve_problem, valve_problem.data.constants
+    reading = problem.grid.points["pressure"].path * 1e-3
+    flow = Flow({READING: reading * 0.04 / 1.04})
+    plain = residual_of(problem, c)
+    shown = problem.model.pressure_with_flow(flow, c, problem.base.active) - plain
+    expected = pressure_of(problem, ("pressure_gain", 4.0)) - plain
+    assert np.abs(expected).max() > 5.0
+    assert np.sqrt(np.mean((shown - expected) ** 2)) < 0.1 * np.sqrt(np.mean(expected**2))
+
+
+def test_a_small_error_of_the_gauge_is_in_proportion_to_what_it_does(
+    valve_problem: FitProblem,
+) -> None:
+    problem, c = valve_problem, valve_problem.data.constants
+    error = problem.grid.points["pressure"].path * 1e-3 * 0.01
+    added = shown_too_much(problem.grid, error[:, None], c)[:, 0]
+    flow = Flow({READING: error})
+    does = residual_of(problem, c) - problem.model.pressure_with_flow(flow, c, problem.base.active)
+    assert np.abs(does - added).mean() < 0.2 * np.abs(does).mean()
 
 
 def test_nothing_passes_a_valve_that_is_commanded_shut_before_it_has_opened(

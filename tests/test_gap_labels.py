@@ -5,6 +5,7 @@ Found on withheld bench 1034: `contraction_limit` and `camera_distortion` were n
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -63,3 +64,9 @@ def test_labels_that_a_bowed_slide_bends_are_labels_alone(tmp_path: Path) -> Non
     (label,) = search.best.fit.candidates
     assert label.shape["short"] == pytest.approx(1.9, abs=0.4)
     assert label.shape["long"] == pytest.approx(2.3, abs=0.4)
+    (note,) = (one for one in verdict.notes if one.startswith("length_label changes"))
+    stated = Effects.from_config({"length_label": {"offset_mm": -0.5, "short": 1.9, "long": 2.3}})
+    told = re.findall(r"(-?[\d.]+) mm at ([\d.]+) mm", note)
+    assert len(told) == 3
+    for off, at in told:
+        assert float(off) == pytest.approx(float(held_offset_mm(float(at), C, stated)), abs=0.1)

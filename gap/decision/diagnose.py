@@ -206,7 +206,28 @@ def with_scales(verdict: Verdict, problem: FitProblem, fit: FitResult) -> Verdic
                 for p, value in zip(percent, at, strict=True)
             )
             notes.append(f"{name} changes over the range of the sensor: {told}")
+        notes += _label_notes(problem, name, own, context)
     return replace(verdict, notes=(*notes, *verdict.notes)) if notes else verdict
+
+
+def _label_notes(
+    problem: FitProblem, name: str, own: Sequence[tuple[Candidate, float]], context: Context
+) -> list[str]:
+    """A note on labels whose error changes with the length, over the lengths of the data."""
+    effect = CATALOGUE[name]
+    held, changes = effect.sensors.held, effect.sensors.scale_changes
+    as_plant, headline = effect.search.as_plant, effect.headline
+    if held is None or changes is None or as_plant is None or headline is None:
+        return []
+    values = {p.name: p.default for p in effect.parameters if p.default is not None}
+    values |= {headline: sum(amount for _, amount in own), **as_plant(own[0][0].shape, context)}
+    written = [t.held_length_mm for t in problem.data.trials if np.isfinite(t.held_length_mm)]
+    if not written or not changes(values):
+        return []
+    at = np.unique([min(written), 0.5 * (min(written) + max(written)), max(written)])
+    off = held(at * 1e-3, values, context.constants) * 1e3
+    told = ", ".join(f"{o:.2g} mm at {x:.4g} mm" for o, x in zip(off, at, strict=True))
+    return [f"{name} changes with the length: {told}"]
 
 
 _TRIALS_SHOWN = 6

@@ -19,11 +19,12 @@ from plant.effects.arguments import Points
 from plant.effects.empirical import (
     EDGES_LATE,
     FLOW,
-    FLOWS,
     FORGOTTEN_S,
+    IN_GAS,
     INLET_FLOW,
     LATE,
     OUTLET_FLOW,
+    READING,
     VALVE_FLOW,
     Correction,
     braid_scales,
@@ -45,7 +46,7 @@ def correction_at(grid: Grid, correction: Correction, c: PlantConstants) -> Arra
     Without its flows into the chamber: see `flow_at`.
     """
     block = correction.block
-    plain = Correction(block, tuple(t for t in correction.terms if t.scale not in FLOWS))
+    plain = Correction(block, tuple(t for t in correction.terms if t.scale not in IN_GAS))
     at = inputs_of(grid, block, plain.inputs)
     if plain.scales:
         at |= scales_of(grid, block, c)
@@ -53,9 +54,9 @@ def correction_at(grid: Grid, correction: Correction, c: PlantConstants) -> Arra
 
 
 def flow_at(grid: Grid, correction: Correction, c: PlantConstants) -> Flow | None:
-    """Flow that a correction lets into the chamber; None where it has no such term."""
+    """What a correction does to the simulation of the gas; None where it has no such term."""
     count = len(grid.points[correction.block].time_s)
-    terms = [term for term in correction.terms if term.scale in FLOWS]
+    terms = [term for term in correction.terms if term.scale in IN_GAS]
     at = point_inputs_of(grid, correction.block, Correction(correction.block, tuple(terms)).inputs)
     made = {term.scale: np.zeros(count) for term in terms}
     for term in terms:
@@ -65,10 +66,10 @@ def flow_at(grid: Grid, correction: Correction, c: PlantConstants) -> Flow | Non
 
 @dataclass(frozen=True)
 class Flow:
-    """A flow into the chamber at every point of the pressure.
+    """A flow into the chamber, and an error of its gauge, at every point of the pressure.
 
     Attributes:
-        of: by scale of a term, mg/s, a share of a flow or ms, shape (points,) each.
+        of: by scale of a term, mg/s, a share of a flow, ms or kPa, shape (points,) each.
     """
 
     of: Mapping[str, Array]
@@ -76,14 +77,21 @@ class Flow:
     def mg_s(self, grid: Grid, c: PlantConstants) -> Array:
         """All of it in mg/s, with the valve as the constants have it, shape (points,)."""
         through = valve_flows(grid, c)
-        parts = [x * through[scale] if scale in through else x for scale, x in self.of.items()]
-        return np.asarray(np.sum(parts, axis=0))
+        flows = {scale: x for scale, x in self.of.items() if scale != READING}
+        parts = [x * through[scale] if scale in through else x for scale, x in flows.items()]
+        return np.sum(parts, axis=0) if parts else np.zeros(len(grid.points["pressure"].time_s))
+
+    def raised(self, grid: Grid, c: PlantConstants) -> Array:
+        """Pressure in kPa by which it raises every row of a reading not simulated here."""
+        points = grid.points["pressure"]
+        shown = self.of.get(READING, np.zeros(len(points.time_s)))
+        return np.asarray(risen(grid, self.mg_s(grid, c)[:, None], c)[:, 0] + _means(points, shown))
 
     def push(self, grid: Grid, c: PlantConstants) -> Push:
         """What it does to the simulated gas and its valves."""
         points = grid.points["pressure"]
         zero = np.zeros(len(points.time_s))
-        own = {scale: self.of.get(scale, zero) for scale in FLOWS}
+        own = {scale: self.of.get(scale, zero) for scale in IN_GAS}
         whole = own[VALVE_FLOW]
         late = [1e-3 * (own[scale] + own[EDGES_LATE]) for scale in LATE]
         valves = np.stack([own[INLET_FLOW] + whole, own[OUTLET_FLOW] + whole, *late])
@@ -96,14 +104,17 @@ class Flow:
         return Push(
             0.5 * step * (rate + rate[before]),
             np.ascontiguousarray(0.5 * (valves + valves[:, before])),
+            1e3 * own[READING],
         )
 
 
-def risen(grid: Grid, flow: Array, c: PlantConstants) -> Array:
+def risen(grid: Grid, flow: Array, c: PlantConstants, begun: Array | None = None) -> Array:
     """Pressure in kPa by which flows in mg/s into the chamber raise it at every row.
 
     Args:
         flow: at the points of the pressure, shape (points, flows).
+        begun: what the pressure is raised by where each trial begins, kPa, of the same shape; only
+            its values there count. By default nothing.
 
     As the prediction is drawn to the reading, so is what a flow adds to it; and through an open
     valve it passes away: a chamber at the pressure of its supply, or vented, keeps no surplus.
@@ -116,27 +127,52 @@ def risen(grid: Grid, flow: Array, c: PlantConstants) -> Array:
     # What is gained in a step passes away from its middle on.
     gain = 0.5 * step * np.sqrt(kept)
     sums = np.zeros((int(points.row.max(initial=-1)) + 1, flow.shape[1]))
+    begins = points.first[:-1][np.diff(points.first) > 0]
+    start = np.zeros((len(points.first) - 1, flow.shape[1]))
+    if begun is not None:
+        start[np.diff(points.first) > 0] = begun[begins]
     _rise(
-        points.first, np.ascontiguousarray(flow), per, gain, kept, points.row, points.weight, sums
-    )
+        points.first, np.ascontiguousarray(flow), np.stack([per, gain, kept]), start, points.row,
+        points.weight, sums,
+    )  # fmt: skip
     return np.asarray(sums / points.row_weight[:, None])
+
+
+def shown_too_much(grid: Grid, error: Array, c: PlantConstants) -> Array:
+    """What errors of the gauge, in kPa, add to its predicted reading at every row, kPa.
+
+    Args:
+        error: at the points of the pressure, shape (points, errors).
+
+    The prediction is drawn to a reading that is too high by the error: what it has followed of it,
+    and not lost through an open valve, is no difference any more.
+    """
+    points = grid.points["pressure"]
+    per = pressure_per_flow(np.clip(points.length, 1e-4, 0.999 * c.braid_length_m), c)
+    followed = risen(grid, error / (FORGOTTEN_S * per)[:, None], c, error)
+    shown = np.stack([_means(points, own) for own in error.T], axis=1)
+    return np.asarray(shown - followed)
 
 
 def _build_rise(sources: int) -> Callable[..., None]:
     vector = "float64[::1]"
 
     @entry_point(
-        f"void(int64[::1], float64[:, ::1], {vector}, {vector}, {vector}, int64[::1], {vector}, "
-        "float64[:, ::1])"
+        "void(int64[::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], int64[::1], "
+        f"{vector}, float64[:, ::1])"
     )
     def rise(
-        first: Any, flow: Any, per: Any, gain: Any, kept: Any, row: Any, weight: Any, sums: Any
+        first: Any, flow: Any, pace: Any, start: Any, row: Any, weight: Any, sums: Any
     ) -> None:
         if sources < 0:
             return
+        per, gain, kept = pace
         state = np.empty(flow.shape[1])
         for t in range(len(first) - 1):
-            state[:] = 0.0
+            state[:] = start[t]
+            for k in range(first[t], min(first[t] + 1, first[t + 1])):
+                for j in range(len(state)):
+                    sums[row[k], j] += weight[k] * state[j]
             for k in range(first[t] + 1, first[t + 1]):
                 for j in range(len(state)):
                     rate = flow[k, j] * per[k] + flow[k - 1, j] * per[k - 1]

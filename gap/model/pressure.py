@@ -413,7 +413,7 @@ def _trial(
     A reading that is NaN draws nothing: nothing is known there. `due` to `s` are scratch; `step`
     and `acting` are left alone where the reading is followed; with `_PUSH` it is followed, and
     `step` is what something else has added to the pressure since the node before, `more` what it
-    does to the valves, as in `Push`.
+    does to the valves and to the reading, as in `Push`.
     """
     waiting[:] = 0
     opened[:] = 0.0
@@ -422,7 +422,8 @@ def _trial(
     s[:] = 0.0
     true = 0.0  # vented, where the gauge is at its lower end
     if not math.isnan(reading[0]):
-        true = (reading[0] - q[stage.ZERO]) / (1.0 + q[stage.GAIN])
+        wrong = more[6, 0] if mode == _PUSH else 0.0
+        true = (reading[0] - wrong - q[stage.ZERO]) / (1.0 + q[stage.GAIN])
     s[0] = max(true, -0.9 * q[layout.ATMOSPHERE])
     s[1] = s[0]
     s[2] = s[0]
@@ -531,6 +532,8 @@ def _trial(
             if q[stage.LAG] == 0.0:
                 s[2] += step[i]
         shown = s[2] * (1.0 + q[stage.GAIN]) + q[stage.ZERO]
+        if mode == _PUSH:
+            shown += more[6, i]
         out[i] = shown
         if mode in (_LEARN, _APPLY):
             if mode == _LEARN:
@@ -601,7 +604,7 @@ def _build(sources: int) -> Callable[..., None]:
 
 _run = _build(fingerprint())
 _NONE = np.empty(0)
-_NO_MORE = np.empty((6, 0))
+_NO_MORE = np.empty((7, 0))
 _WORTH_THREADS = 10_000
 
 
@@ -613,13 +616,19 @@ class Push:
         pressure: Pa since the node before, shape (nodes,).
         valves: to the flows of inlet and outlet since the node before, as a share of them; and to
             the delays with which the inlet opens and shuts, and the outlet, s; shape (6, nodes).
+        reading: what the gauge shows too much, Pa, shape (nodes,).
     """
 
     pressure: Array
     valves: Array
+    reading: Array
 
     def __add__(self, other: Push) -> Push:
-        return Push(self.pressure + other.pressure, self.valves + other.valves)
+        return Push(
+            self.pressure + other.pressure,
+            self.valves + other.valves,
+            self.reading + other.reading,
+        )
 
 
 def predict(*arrays: Any, push: Push | None = None) -> None:
@@ -631,7 +640,7 @@ def predict(*arrays: Any, push: Push | None = None) -> None:
     """
     step, more, mode = _NONE, _NO_MORE, _FOLLOW
     if push is not None:
-        step, more, mode = push.pressure, push.valves, _PUSH
+        step, more, mode = push.pressure, np.vstack([push.valves, push.reading]), _PUSH
     q, first, *nodes, first_edge, edge_s, edge_to, edge_of, out, fall = arrays
 
     def run(trials: slice) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from gap.effects.terms import Active, acting_in, terms
 from gap.model import force as laws
 from gap.model import pressure as chamber
-from gap.model.empirical import Flow, correction_at, flow_at, risen
+from gap.model.empirical import Flow, correction_at, flow_at
 from gap.model.features import BLOCKS
 from gap.model.grid import Grid, full_values, room_temperature, trial_order
 from gap.model.nominal import NominalPlant
@@ -113,7 +113,7 @@ class Model:
             made = correction_at(self.grid, correction, c)
             flow = flow_at(self.grid, correction, c) if self.covers(block) else None
             if flow is not None:  # no chamber of ours to put it into
-                made = made + risen(self.grid, flow.mg_s(self.grid, c)[:, None], c)[:, 0]
+                made = made + flow.raised(self.grid, c)
             self._corrections[block] = made
         return self._corrections[block]
 
@@ -136,8 +136,7 @@ class Model:
         if self.covers("pressure"):
             raw = self._pressure(points, c, active)
             rows = self._features(points, raw) * SCALE["pressure"]
-            added = risen(self.grid, flow.mg_s(self.grid, c)[:, None], c)[:, 0]
-            return rows - self._corrected("pressure") - added
+            return rows - self._corrected("pressure") - flow.raised(self.grid, c)
         raw = self._pressure(points, c, active, flow.push(self.grid, c))
         return self._features(points, raw) * SCALE["pressure"] - self._corrected("pressure")
 

@@ -38,6 +38,7 @@ _SCALED = {
     "outlet_on_ms": "outlet opens late, ms",
     "outlet_off_ms": "outlet shuts late, ms",
     "edges_ms": "all commands act late, ms",
+    "reading": "gauge shows too much, kPa",
 }
 _KINDS = {
     "": "an addition",
@@ -53,6 +54,7 @@ _KINDS = {
     "outlet_on_ms": "an outlet that opens late or early",
     "outlet_off_ms": "an outlet that shuts late or early",
     "edges_ms": "valves that all act late or early",
+    "reading": "an error of the gauge's reading",
 }
 
 

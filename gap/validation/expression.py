@@ -20,7 +20,7 @@ from gap.validation.config import ValidationConfig
 from gap.validation.terms.held_out_terms import HeldOutTerms, Whole, gain_and_errors
 from gap.verdict import Expression
 from plant.arrays import Array
-from plant.effects.empirical import FLOWS, Correction
+from plant.effects.empirical import IN_GAS, Correction
 
 _DECAYS_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 _DECAYS_KPA = (30.0, 100.0, 300.0)
@@ -60,7 +60,7 @@ def compact_expression(
     """
     block = correction.block
     at = inputs_of(problem.grid, block, correction.inputs)
-    if not at or any(term.scale in FLOWS for term in correction.terms):
+    if not at or any(term.scale in IN_GAS for term in correction.terms):
         return None
     scales = scales_of(problem.grid, block, problem.constants(fit.shift))
     scales[""] = np.ones(len(next(iter(at.values()))))

@@ -19,7 +19,8 @@ in mg/s into the chamber, whose pressure it raises, with "valve_flow" a share of
 valve that is open, with "inlet_flow" or "outlet_flow" of that one alone; with "inlet_on_ms",
 "inlet_off_ms", "outlet_on_ms" or "outlet_off_ms" the time in ms by which that valve opens or shuts
 later than its delay says, with "edges_ms" that by which both valves do both. What a flow raised is
-forgotten with `FORGOTTEN_S`. It says nothing of another bench.
+forgotten with `FORGOTTEN_S`. With the scale "reading" its splines are what the gauge shows too
+much, in kPa: the gas itself is below the reading by as much. It says nothing of another bench.
 """
 
 from __future__ import annotations
@@ -72,16 +73,20 @@ LATE = ("inlet_on_ms", "inlet_off_ms", "outlet_on_ms", "outlet_off_ms")
 EDGES_LATE = "edges_ms"
 """Scale of a term whose splines are ms by which all commands act late."""
 FLOWS = (FLOW, VALVE_FLOW, INLET_FLOW, OUTLET_FLOW, *LATE, EDGES_LATE)
-"""Scales of terms that the simulated gas takes in."""
+"""Scales of terms whose flow the simulated gas takes in."""
+READING = "reading"
+"""Scale of a term of the pressure whose splines are what the gauge shows too much, kPa."""
+IN_GAS = (*FLOWS, READING)
+"""Scales of terms that are part of the simulation of the gas."""
 SCALE_INPUTS: Mapping[str, tuple[str, ...]] = {
     "": (),
     "pull": ("pressure_kpa", "length_mm"),
     "pull_per_kpa": ("length_mm",),
     "pull_per_mm": ("pressure_kpa", "length_mm"),
-    **dict.fromkeys(FLOWS, ()),
+    **dict.fromkeys(IN_GAS, ()),
 }
 """Inputs that a scale is itself made of; that of a flow is what the valves did before."""
-_SCALES_OF = {"force": SCALES, "load": SCALES, "pressure": FLOWS, "camera": ()}
+_SCALES_OF = {"force": SCALES, "load": SCALES, "pressure": IN_GAS, "camera": ()}
 FORGOTTEN_S = 5.0
 """Time constant with which the diagnosis draws a predicted pressure to the reading."""
 STATIC = ("pressure_kpa", "length_mm")
@@ -95,7 +100,7 @@ class SplineTerm:
     Attributes:
         knots: ascending, one tuple an input, in its unit.
         coefficients: one a product of splines, the last input running fastest.
-        scale: one of `SCALES` that the splines are multiplied by, one of `FLOWS`, or "" for none.
+        scale: one of `SCALES` that the splines are multiplied by, one of `IN_GAS`, or "" for none.
     """
 
     inputs: tuple[str, ...]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.model.empirical import Flow, point_inputs_of, risen, valve_flows
+from gap.model.empirical import Flow, point_inputs_of, risen, shown_too_much, valve_flows
 from gap.validation.terms.held_out_terms import Whole
 from plant.arrays import Array
 from plant.effects.empirical import (
@@ -22,6 +22,7 @@ from plant.effects.empirical import (
     INPUTS,
     LATE,
     OUTLET_FLOW,
+    READING,
     SCALE_INPUTS,
     SCALES,
     VALVE_FLOW,
@@ -65,6 +66,8 @@ _FLOWS = (
       for own in ((), ("pressure_kpa",), ("time_s",), ("openings",), ("order",))),
     *((flow, own) for flow in (INLET_FLOW, OUTLET_FLOW)
       for own in ((), ("since_edge_s",), ("pressure_kpa",), ("time_s",), ("openings",))),
+    *((READING, own) for own in ((), ("pressure_kpa",), ("temperature_c",), ("time_s",),
+      ("order",))),
 )  # fmt: skip
 _HISTORY = "history"
 _FLOW_KNOTS = {"time_s": 6}
@@ -173,7 +176,7 @@ class FlowColumns:
 
     Attributes:
         values: splines at every point of the pressure, shape (points, columns).
-        scales: of each column, one of `plant.effects.empirical.FLOWS`.
+        scales: of each column, one of `plant.effects.empirical.IN_GAS`.
     """
 
     values: Array
@@ -215,13 +218,20 @@ def with_flows(
 
 
 def raised(problem: FitProblem, fit: FitResult, flows: FlowColumns) -> Array:
-    """Pressure by which each flow raises every row with the constants of a fit, kPa."""
+    """Pressure by which each flow, or error of the gauge, raises every row of a fit, kPa."""
     c = problem.constants(fit.shift)
-    through = valve_flows(problem.grid, c)
+    scales = np.array(flows.scales)
     flow = flows.values.copy()
-    for scale, own in through.items():
-        flow[:, np.array(flows.scales) == scale] *= own[:, None]
-    return risen(problem.grid, flow, c)
+    for scale, own in valve_flows(problem.grid, c).items():
+        flow[:, scales == scale] *= own[:, None]
+    shown = scales == READING
+    made = risen(problem.grid, np.where(shown, 0.0, flow), c)
+    if shown.any() and problem.model.covers("pressure"):  # follows no reading
+        for k in np.flatnonzero(shown):
+            made[:, k] = Flow({READING: flow[:, k]}).raised(problem.grid, c)
+    elif shown.any():
+        made[:, shown] = shown_too_much(problem.grid, flow[:, shown], c)
+    return made
 
 
 def _flow_knots(x: Array, name: str, scale: str) -> tuple[float, ...]:

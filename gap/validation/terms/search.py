@@ -32,7 +32,7 @@ from gap.validation.terms.pieces import (
 )
 from gap.validation.terms.refit import FittedTerm
 from plant.arrays import Array
-from plant.effects.empirical import FLOWS, INPUTS, SCALE_INPUTS
+from plant.effects.empirical import IN_GAS, INPUTS, SCALE_INPUTS
 
 HALF = 0.5
 """Share of a gap from which it counts as closed."""
@@ -241,7 +241,7 @@ def search_of(
     penalty = np.zeros((columns.shape[1],) * 2)
     for piece in pieces:
         free = np.eye(len(piece.at)) / config.term_sd**2 + piece.rough / config.term_bend**2
-        if piece.scale in FLOWS:
+        if piece.scale in IN_GAS:
             # A short flow must be larger to be seen as much as a long one. Constants that are led
             # astray hide most of a flow, so what it may be is told by the plant as stated.
             unit = np.sqrt(np.mean(columns[:, piece.at] ** 2, axis=0)) / max(size, stated)
