@@ -19,10 +19,12 @@ from typer.testing import CliRunner
 from cli.main import app
 from gap.check.empirical import line_of, totals
 from gap.check.scoring.inputs import TRUE_INPUTS, inputs_right
+from gap.data.dataset import DataSet
 from gap.data.reader import read_dataset
 from gap.errors import GapError
 from gap.estimation.cross_validation import HeldOut, held_out
 from gap.estimation.fit_problem import FitProblem
+from gap.model.features import BLOCKS
 from gap.reason import Cause, Reason
 from gap.reporting.empirical import empirical_figure, empirical_lines
 from gap.validation.config import VALIDATION
@@ -33,7 +35,14 @@ from gap.verdict import EmpiricalTerm, Status, Verdict
 from gap_bench import write_set
 from plant.constants import nominal
 from plant.effects.effects import NONE
-from plant.effects.empirical import INPUTS, Corrections, spline_columns
+from plant.effects.empirical import (
+    INPUTS,
+    READING,
+    Correction,
+    Corrections,
+    SplineTerm,
+    spline_columns,
+)
 from plant.errors import PlantError
 from plant.simulator.force_law import ForceLaw
 
@@ -285,6 +294,8 @@ def test_inputs_are_right_where_needed_ones_are_there_and_no_strange_ones() -> N
     assert not inputs_right(("creep",), {"history": 0.6, "temperature": 0.4})
     assert inputs_right(("creep",), {"history": 0.96, "temperature": 0.04})
     assert not inputs_right(("local_buckle",), {"pressure": 1.0})
+    assert inputs_right(("pressure_zero",), {}, "pressure")  # there it is the same everywhere
+    assert not inputs_right(("pressure_zero",), {}, "force")
 
 
 def test_every_effect_that_can_be_hidden_has_its_inputs_written_down() -> None:
@@ -346,6 +357,29 @@ def test_a_leak_without_a_name_is_found_by_the_pressure_that_drives_it(tmp_path:
     again = FitProblem.of(read_dataset(folder))
     one, two = (held_out(p, p.base)["pressure"].rms("recalibrated") for p in (problem, again))
     assert two < 0.7 * one
+
+
+def test_a_stated_error_of_the_gauge_frees_its_readings_of_it(tmp_path: Path) -> None:
+    """A gauge shows a twentieth of its reading too much; the constants stay as stated."""
+    folder = write_set(tmp_path / "gauge", {})
+    right = read_dataset(folder)
+    samples = pd.read_parquet(folder / "samples.parquet")
+    samples["pressure_kpa"] /= 0.95
+    samples.to_parquet(folder / "samples.parquet")
+    wrong = read_dataset(folder)
+    error = SplineTerm(("pressure_kpa",), ((-40.0, 800.0),), (-2.0, 40.0), READING)
+    stated = Corrections({"pressure": Correction("pressure", (error,))})
+
+    def left(data: DataSet) -> Array:
+        problem = FitProblem.of(data)
+        return problem.stated_residual[problem.rows.block == BLOCKS.index("pressure")]
+
+    base = left(right)
+    off, freed = (
+        np.abs(left(data) - base).mean() for data in (wrong, replace(wrong, corrections=stated))
+    )
+    assert off > 1.0
+    assert freed < 0.02 * off
 
 
 def test_a_line_is_offered_beside_the_splines_of_an_input_and_they_hold_it(tmp_path: Path) -> None:

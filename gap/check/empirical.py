@@ -63,7 +63,7 @@ def line_of(number: int, truth: Mapping[str, Any], verdict: Mapping[str, Any]) -
         "channel": term["channel"] if term else None,
         "closed": term["closed"] if term else None,
         "shares": shares,
-        "inputs_right": term is not None and inputs_right(ids, shares),
+        "inputs_right": term is not None and inputs_right(ids, shares, term["channel"]),
     }
 
 

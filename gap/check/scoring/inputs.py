@@ -17,17 +17,19 @@ SMALL = 0.1
 
 @dataclass(frozen=True)
 class Dependence:
-    """Inputs of one effect's gap."""
+    """Inputs of one effect's gap; in its own channel `same_in` it is the same everywhere."""
 
     needed: tuple[frozenset[str], ...]
     allowed: frozenset[str] = frozenset()
+    same_in: str = ""
 
 
-def _of(*needed: str, allowed: str = "") -> Dependence:
+def _of(*needed: str, allowed: str = "", same_in: str = "") -> Dependence:
     """Each of `needed` is a list of inputs with a bar between, of which one must be there."""
     return Dependence(
         tuple(frozenset(one.split("|")) for one in needed),
         frozenset(filter(None, allowed.split("|"))),
+        same_in,
     )
 
 
@@ -53,7 +55,7 @@ TRUE_INPUTS: Mapping[str, Dependence] = {
     "transport_delay": _of(_FLOW, allowed="pressure|length"),
     "link_friction": _of("history|velocity", allowed="pressure|length|pressure rate"),
     "payload": _of(allowed="pressure|length"),
-    "pressure_zero": _of("length|pressure"),
+    "pressure_zero": _of("length|pressure", same_in="pressure"),
     "pressure_gain": _of("pressure", allowed="length"),
     "pressure_lag": _of(_FLOW, allowed="pressure|length"),
     "force_zero": _of(allowed="pressure|length"),
@@ -77,13 +79,16 @@ TRUE_INPUTS: Mapping[str, Dependence] = {
 """By id of the effect; those outside the catalogue stand last."""
 
 
-def inputs_right(effects: tuple[str, ...], shares: Mapping[str, float]) -> bool:
+def inputs_right(
+    effects: tuple[str, ...], shares: Mapping[str, float], channel: str | None = None
+) -> bool:
     """Whether the inputs of a term are those of the hidden effects.
 
     Every needed input has a share of `SMALL` or more, and no input that has nothing to do with any
-    of the effects has.
+    of the effects has. An effect that is the same everywhere in the term's channel needs none.
     """
     found = {name for name, share in shares.items() if share >= SMALL}
     known = [TRUE_INPUTS[name] for name in effects]
     may = frozenset[str]().union(*(one.allowed.union(*one.needed) for one in known))
-    return found <= may and all(found & one for each in known for one in each.needed)
+    needed = [one for each in known if each.same_in != channel for one in each.needed]
+    return found <= may and all(found & one for one in needed)
