@@ -137,6 +137,28 @@ def test_a_vessel_that_is_full_follows_a_leak_in_steps_of_any_length(
     assert quick == pytest.approx(expected, abs=3.0)  # Pa; the least floor is 20
 
 
+def test_a_vessel_behind_a_one_way_flow_control_fills_at_once_and_keeps_its_gas() -> None:
+    """Filled, the vessel takes its share; then a leak empties the chamber as if it stood alone."""
+    pulse = [(0.06, 1), (0.08, 0)]
+    leak: Active = [("leak", "", 2e-12, {})]
+    both, held, alone = (
+        course("dead_volume", "", volume_ml, shape, pulse, beside=leak)
+        for volume_ml, shape in (
+            (3.0, {"line_s": 1e-3}), (3.0, {"line_s": 1e-3, "empties": 1e6}), (0.0, {}),
+        )
+    )  # fmt: skip
+    assert held[84] == pytest.approx(both[84], rel=0.01)
+
+    def share_lost(p: np.ndarray) -> float:
+        gas = p + C.atmosphere_pa  # choked: what is lost is a share of it
+        return float(np.log(gas[90] / gas[390]))
+
+    assert share_lost(held) == pytest.approx(share_lost(alone), rel=0.02)
+    assert share_lost(both) < 0.8 * share_lost(alone)
+    same = course("dead_volume", "", 3.0, {"line_s": 1e-3, "empties": 1.0}, pulse, beside=leak)
+    assert same == pytest.approx(both, abs=1e-6)
+
+
 def test_a_slow_regulator_gives_less_to_the_second_of_two_pulses() -> None:
     def second(shape: Mapping[str, float]) -> float:
         p = course("supply_droop", "", 80.0, shape, TWICE)

@@ -148,6 +148,17 @@ def valved_flow(over: float, tau: float) -> float:
 
 
 @compiled
+def sorbed_rate(gauge: float, held: float, tau: float) -> float:
+    """Rate in kPa/s at which a drying agent takes up air, of `held` kPa that it holds.
+
+    It tends to a Langmuir isotherm; what it holds is that of a vessel at `held`, at 300 kPa the
+    pressure itself.
+    """
+    above = max(gauge, 0.0)
+    return float((above * (STATED_KPA + 210.0) / (above + 210.0) - held) / (14.0 * tau))
+
+
+@compiled
 def slow_wall(gauge: float, follows: float) -> float:
     """Rate in kPa/s at which a viscous wall comes after the pressure, as a gauge pressure."""
     return float((gauge - follows) / 0.23)

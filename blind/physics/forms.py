@@ -134,6 +134,8 @@ _TABLE: dict[str, tuple[tuple[str, str], ...]] = {
          "Andersen, Analysis of Pneumatic Systems, 1967 (one-way flow control)"),
         ("V (p - 72)/228 above 72 kPa, else none",
          "Hunt and Vaughan, Hydraulic Handbook, 9th ed., 1996 (spring-loaded accumulator)"),
+        ("V y/p, dy = (510 p/(p + 210) - y)/tau",
+         "Glueckauf, Trans. Faraday Soc. 51 (1955) 1540 (Langmuir sorption in a drier)"),
     ),
     "polytropic": (
         ("n", "ideal gas, constant exponent"),

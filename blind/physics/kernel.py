@@ -116,6 +116,10 @@ def slopes(
             gain -= extra * flow
         elif form == 7.0:
             vol += extra * (alternatives.preloaded(gauge) + p * alternatives.springing(gauge))
+        elif form == 8.0:  # what a drying agent holds
+            flow = alternatives.sorbed_rate(gauge, y[n.Y_SIDE] - pa, e[n.VOLUME, 2])
+            dy[n.Y_SIDE] = flow
+            gain -= extra * flow
         k = c[n.EXPONENT]
         if e[n.POLYTROPIC, 0] >= 0.0:
             k = 1.0 + e[n.POLYTROPIC, 1]

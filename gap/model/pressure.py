@@ -185,11 +185,15 @@ def _swing(
 def _line_time(q: Any, drop: float) -> float:
     """Time in s in which a vessel behind a throttle follows, at `drop` Pa over the throttle.
 
-    Through an orifice the flow goes with the root of the drop; the time is stated at 100 kPa.
+    Through an orifice the flow goes with the root of the drop; the time is stated at 100 kPa. Where
+    a check valve lets it fill past the throttle, it empties in another time.
     """
+    time = q[stage.LINE_TIME]
+    if drop < 0.0 and q[stage.LINE_EMPTIES] > 0.0:
+        time *= q[stage.LINE_EMPTIES]
     if q[stage.LINE_ORIFICE] == 0.0:
-        return float(q[stage.LINE_TIME])
-    return float(q[stage.LINE_TIME] * math.sqrt((abs(drop) + _LEAST_DROP_PA) / _STATED_DROP_PA))
+        return float(time)
+    return float(time * math.sqrt((abs(drop) + _LEAST_DROP_PA) / _STATED_DROP_PA))
 
 
 @inlined

@@ -39,5 +39,6 @@ YIELDING_TIME = PARAMS_SIZE + 26  # s in which it does
 FADING = PARAMS_SIZE + 27  # s in which the exponent falls after a valve opened; 0 where it stays
 STIFFENING_LATE = PARAMS_SIZE + 28  # as STIFFENING, of what the same wall takes up later
 STIFFENING_LATE_PA = PARAMS_SIZE + 29
-SIZE = PARAMS_SIZE + 30
+LINE_EMPTIES = PARAMS_SIZE + 30  # times LINE_TIME, where a check valve lets LINE fill past it; or 0
+SIZE = PARAMS_SIZE + 31
 LEAK_OF_TRIAL = SIZE  # m3/(s Pa) beside LEAK, one for each trial, where trials differ in it

@@ -48,6 +48,7 @@ def _gas(params: Params, amount: float, option: str, shape: Shape) -> None:
         params[stage.LINE] += max(amount, 0.0) * 1e-6
         params[stage.LINE_TIME] = shape["line_s"]
         params[stage.LINE_ORIFICE] = shape.get("orifice", 0.0)
+        params[stage.LINE_EMPTIES] = shape.get("empties", 0.0)
     else:
         params[layout.DEAD_VOLUME] += amount * 1e-6
 
@@ -77,7 +78,7 @@ DEAD_VOLUME = Effect(
         sign=1,
         blocks=("pressure",),
         # A vessel beside the line, a hose that widens, at once or by and by, a vessel behind a thin
-        # tube or behind a hole (tee, fitting, stop cock).
+        # tube, behind a hole (tee, fitting, stop cock) or behind a one-way flow control.
         shapes=(
             {},
             {"elastic": 1.0},
@@ -86,10 +87,12 @@ DEAD_VOLUME = Effect(
             {"line_s": 0.01},
             {"line_s": 0.06},
             {"line_s": 0.03, "orifice": 1.0},
+            {"line_s": 0.004, "empties": 20.0},
         ),
         free={
             "line_s": (0.001, 0.3),
             "soft_kpa": (20.0, 1500.0),
+            "empties": (0.02, 200.0),
             "yields_s": (0.01, 5.0),
             "late_kpa": (100.0, 3000.0),
             "late": (0.01, 100.0),
