@@ -127,10 +127,10 @@ def risen(grid: Grid, flow: Array, c: PlantConstants, begun: Array | None = None
     # What is gained in a step passes away from its middle on.
     gain = 0.5 * step * np.sqrt(kept)
     sums = np.zeros((int(points.row.max(initial=-1)) + 1, flow.shape[1]))
-    begins = points.first[:-1][np.diff(points.first) > 0]
     start = np.zeros((len(points.first) - 1, flow.shape[1]))
     if begun is not None:
-        start[np.diff(points.first) > 0] = begun[begins]
+        full = np.diff(points.first) > 0
+        start[full] = begun[points.first[:-1][full]]
     _rise(
         points.first, np.ascontiguousarray(flow), np.stack([per, gain, kept]), start, points.row,
         points.weight, sums,
@@ -170,13 +170,11 @@ def _build_rise(sources: int) -> Callable[..., None]:
         state = np.empty(flow.shape[1])
         for t in range(len(first) - 1):
             state[:] = start[t]
-            for k in range(first[t], min(first[t] + 1, first[t + 1])):
+            for k in range(first[t], first[t + 1]):
                 for j in range(len(state)):
-                    sums[row[k], j] += weight[k] * state[j]
-            for k in range(first[t] + 1, first[t + 1]):
-                for j in range(len(state)):
-                    rate = flow[k, j] * per[k] + flow[k - 1, j] * per[k - 1]
-                    state[j] = state[j] * kept[k] + gain[k] * rate
+                    if k > first[t]:
+                        rate = flow[k, j] * per[k] + flow[k - 1, j] * per[k - 1]
+                        state[j] = state[j] * kept[k] + gain[k] * rate
                     sums[row[k], j] += weight[k] * state[j]
 
     return rise
