@@ -217,10 +217,23 @@ def test_a_small_error_of_the_gauge_is_in_proportion_to_what_it_does(
 ) -> None:
     problem, c = valve_problem, valve_problem.data.constants
     error = problem.grid.points["pressure"].path * 1e-3 * 0.01
-    added = shown_too_much(problem.grid, error[:, None], c)[:, 0]
+    added = shown_too_much(problem.grid, error[:, None], c, followed=True)[:, 0]
     flow = Flow({READING: error})
     does = residual_of(problem, c) - problem.model.pressure_with_flow(flow, c, problem.base.active)
     assert np.abs(does - added).mean() < 0.2 * np.abs(does).mean()
+
+
+def test_a_prediction_that_follows_no_reading_keeps_all_of_the_gauge_s_error(
+    valve_problem: FitProblem,
+) -> None:
+    """As of gas that someone else has simulated."""
+    grid, c = valve_problem.grid, valve_problem.data.constants
+    error = np.full(len(grid.points["pressure"].time_s), 5.0)
+    rows = int((valve_problem.rows.block == BLOCKS.index("pressure")).sum())
+    assert Flow({READING: error}).raised(grid, c) == pytest.approx(np.full(rows, 5.0))
+    followed = shown_too_much(grid, error[:, None], c, followed=True)[:, 0]
+    assert np.all(followed <= 5.0)
+    assert followed.min() < 0.1
 
 
 def test_nothing_passes_a_valve_that_is_commanded_shut_before_it_has_opened(

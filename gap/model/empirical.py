@@ -83,9 +83,10 @@ class Flow:
 
     def raised(self, grid: Grid, c: PlantConstants) -> Array:
         """Pressure in kPa by which it raises every row of a reading not simulated here."""
-        points = grid.points["pressure"]
-        shown = self.of.get(READING, np.zeros(len(points.time_s)))
-        return np.asarray(risen(grid, self.mg_s(grid, c)[:, None], c)[:, 0] + _means(points, shown))
+        made = risen(grid, self.mg_s(grid, c)[:, None], c)
+        if READING in self.of:
+            made = made + shown_too_much(grid, self.of[READING][:, None], c, followed=False)
+        return np.asarray(made[:, 0])
 
     def push(self, grid: Grid, c: PlantConstants) -> Push:
         """What it does to the simulated gas and its valves."""
@@ -138,20 +139,20 @@ def risen(grid: Grid, flow: Array, c: PlantConstants, begun: Array | None = None
     return np.asarray(sums / points.row_weight[:, None])
 
 
-def shown_too_much(grid: Grid, error: Array, c: PlantConstants) -> Array:
+def shown_too_much(grid: Grid, error: Array, c: PlantConstants, followed: bool) -> Array:
     """What errors of the gauge, in kPa, add to its predicted reading at every row, kPa.
 
     Args:
         error: at the points of the pressure, shape (points, errors).
-
-    The prediction is drawn to a reading that is too high by the error: what it has followed of it,
-    and not lost through an open valve, is no difference any more.
+        followed: whether the prediction is drawn to the reading, and so to the error: what it has
+            followed of it, and not lost through an open valve, is no difference any more.
     """
     points = grid.points["pressure"]
-    per = pressure_per_flow(np.clip(points.length, 1e-4, 0.999 * c.braid_length_m), c)
-    followed = risen(grid, error / (FORGOTTEN_S * per)[:, None], c, error)
     shown = np.stack([_means(points, own) for own in error.T], axis=1)
-    return np.asarray(shown - followed)
+    if not followed:
+        return shown
+    per = pressure_per_flow(np.clip(points.length, 1e-4, 0.999 * c.braid_length_m), c)
+    return np.asarray(shown - risen(grid, error / (FORGOTTEN_S * per)[:, None], c, error))
 
 
 def _build_rise(sources: int) -> Callable[..., None]:

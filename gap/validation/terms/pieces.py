@@ -226,11 +226,9 @@ def raised(problem: FitProblem, fit: FitResult, flows: FlowColumns) -> Array:
         flow[:, scales == scale] *= own[:, None]
     shown = scales == READING
     made = risen(problem.grid, np.where(shown, 0.0, flow), c)
-    if shown.any() and problem.model.covers("pressure"):  # follows no reading
-        for k in np.flatnonzero(shown):
-            made[:, k] = Flow({READING: flow[:, k]}).raised(problem.grid, c)
-    elif shown.any():
-        made[:, shown] = shown_too_much(problem.grid, flow[:, shown], c)
+    if shown.any():  # what someone else has simulated follows no reading
+        followed = not problem.model.covers("pressure")
+        made[:, shown] = shown_too_much(problem.grid, flow[:, shown], c, followed)
     return made
 
 
