@@ -30,7 +30,7 @@ from gap.data.dataset import DataSet
 from gap.data.from_runs import export_runs, stated_plant
 from gap.data.reader import read_dataset
 from gap.decision.at_bound import relieving
-from gap.decision.diagnose import diagnose_with_search
+from gap.decision.diagnose import diagnose_in_names, with_empirical_term
 from gap.decision.sequential import Conclusion, SequentialVerdict, joint
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem
@@ -191,7 +191,7 @@ def investigate(
             break
     if not stop.reason and used_min < budget_min:
         _have_standards_read(running, config, out, stop, bench, report)
-    return running.concluded()
+    return running.concluded(stopped=bool(stop.reason))
 
 
 def _have_standards_read(
@@ -370,7 +370,7 @@ class _Running(SequentialVerdict):
         if self.standards:
             name += "-" + "-".join(dict.fromkeys(one.channel for one in self.standards))
         data = joined(self.runs, self.folder / name, self.plant, self.standards)
-        self.verdict, self.problem, self.search = diagnose_with_search(data)
+        self.verdict, self.problem, self.search = diagnose_in_names(data)
         self._margins = None
         self.relieving = {}
         if self.problem is not None and self.verdict.status == Status.NO_GAP_ABOVE_FLOOR:
@@ -391,13 +391,19 @@ class _Running(SequentialVerdict):
             "rivals": {" + ".join(ids): left for ids, left in found.rivals.items()},
         }  # fmt: skip
 
-    def concluded(self) -> Investigation:
-        """The outcome, also written to the investigation's folder."""
+    def concluded(self, stopped: bool) -> Investigation:
+        """The outcome, also written to the investigation's folder.
+
+        A stop does not wait for what the gap looks like; `pamrig diagnose` of the data tells it.
+        """
         if not self.runs:
             raise PamrigError(self.config.source, "no test was run to its end", "begin again")
         if self.verdict is None:
             self._diagnose()
         assert self.verdict is not None
+        if not stopped and self.problem is not None and self.search is not None:
+            # Not after each test: nothing asks for it there, and it takes as long as all else.
+            self.verdict = with_empirical_term(self.verdict, self.problem, self.search)
         found = Investigation(
             self.conclusion, conclusion_text(self), self.named, self.verdict, tuple(self.rounds),
             self.references, self.folder, self.ended,

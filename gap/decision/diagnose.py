@@ -65,18 +65,27 @@ def diagnose_with_search(
 
     FitProblem and search are None where the data are unfit or nothing can be compared.
     """
+    verdict, problem, search = diagnose_in_names(data, without)
+    if problem is not None and search is not None:
+        verdict = with_empirical_term(verdict, problem, search)
+    return verdict, problem, search
+
+
+def diagnose_in_names(
+    data: DataSet, without: Iterable[str] = ()
+) -> tuple[Verdict, FitProblem | None, SearchResult | None]:
+    """The diagnosis before what it has no name for is described; see `diagnose_with_search`."""
     known, check = with_known_errors(data)
     verdict, problem, search = verdict_by_catalogue(known, (*without, *check.cleared))
     if problem is None or search is None:
         return with_standards(verdict, check), None, None
-    verdict = with_empirical_term(verdict, problem, search)
     return with_standards(verdict, check), problem, search
 
 
 def verdict_by_catalogue(
     data: DataSet, without: Iterable[str] = ()
 ) -> tuple[Verdict, FitProblem | None, SearchResult | None]:
-    """The verdict before what it has no name for is described; see `diagnose_with_search`."""
+    """The verdict that takes no reading of a reference standard; see `diagnose_in_names`."""
     candidates = candidates_without(without)
     unfit = unfit_channels(data)
     if unfit:

@@ -138,7 +138,9 @@ def _with_constants_back(problem: FitProblem, first: TermSearch) -> TermSearch |
     search = first
     for tried in ([[p] for p in alone], []):
         chosen = search.select()
-        fits = [_refitted(problem, search, own) for own in [*tried, chosen] if own]
+        again = len(chosen) == 1 and any(own[0] is chosen[0] for own in tried)
+        wanted = tried if again else [*tried, chosen]
+        fits = [_refitted(problem, search, own) for own in wanted if own]
         if not fits:
             break
         # The number of a term's columns counts as in a comparison of models (Schwarz 1978).
@@ -146,10 +148,10 @@ def _with_constants_back(problem: FitProblem, first: TermSearch) -> TermSearch |
         own, fitted = min(fits, key=lambda one: one[1].cost + len(one[0]) * each)
         if np.abs(fitted.fit.shift - search.fit.shift).max() < config.moved_sd:
             break
-        again = search_of(problem, fitted.fit, search.block, config, first, (own, fitted))
-        if again is None:
+        there = search_of(problem, fitted.fit, search.block, config, first, (own, fitted))
+        if there is None:
             break
-        search = again
+        search = there
     return None if search is first else search
 
 

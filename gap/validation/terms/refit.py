@@ -21,6 +21,8 @@ _ROUNDS = 30
 _FIRST_DAMPING = 1e-6
 _ENOUGH = 1.0
 """Chi-square below which what a step gains is nothing, and the step the last one."""
+_SMALL_STEPS = 2
+"""Such steps in a row that end a fit although damping held them short. A matter of definition."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ def fitted_with_term(
     begun = term.residual(problem, fit, first)
     if _cost(problem, fit, begun, penalty, first) < cost:
         beta, left, cost = first, begun, _cost(problem, fit, begun, penalty, first)
-    damping = _FIRST_DAMPING
+    damping, small = _FIRST_DAMPING, 0
     matrix = right = None
     for _ in range(_ROUNDS):
         if matrix is None or right is None:
@@ -130,7 +132,8 @@ def fitted_with_term(
         gain = cost - reached
         state, cost, left, beta = trial, reached, there, beta + step[width:]
         matrix = right = None
-        if gain < _ENOUGH and damping < 1e-4:
+        small = small + 1 if gain < _ENOUGH else 0
+        if small and (damping < 1e-4 or small >= _SMALL_STEPS):
             break
         damping = max(damping / 10.0, 1e-9)
     return FittedTerm(state, left, beta, cost)
