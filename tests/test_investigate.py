@@ -21,7 +21,9 @@ from daq.clock import VirtualClock
 from daq.errors import PamrigError
 from daq.interrupt import StopFlag
 from daq.store.run import open_run
+from gap.data.dataset import DataSet
 from gap.data.run_trials import run_trials
+from gap.decision.diagnose import diagnose_in_names
 from gap.reason import Cause, Reason
 from gap.verdict import Experiment, Status, Verdict
 from plant.effects.catalogue import CATALOGUE
@@ -198,6 +200,39 @@ def test_a_small_leak_shows_where_the_chamber_is_shut_for_half_a_minute(
     amount = found.verdict.effects[0].parameters["conductance_m3_s_pa"]
     assert float(amount.low) < 4e-15 < float(amount.high)
     assert float(amount.value) == pytest.approx(4e-15, rel=0.2)
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_what_has_no_name_is_described_once_at_the_end_and_a_stop_does_not_wait_for_it(
+    stopped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All names but one are struck from the catalogue, so that the gap has none."""
+
+    def knowing_leaks(data: DataSet) -> Any:
+        return diagnose_in_names(data, set(CATALOGUE) - {"leak"})
+
+    def once(config: RigConfig, again: bool = False) -> list[Test]:
+        return [] if again else few(config)
+
+    monkeypatch.setattr(loop, "battery", once)
+    monkeypatch.setattr(loop, "diagnose_in_names", knowing_leaks)
+    config = rig_with(tmp_path, "[effects.liner_threshold]\nthreshold_kpa = 80\n")
+    stop = StopFlag()
+    told: list[str] = []
+
+    def report(text: str) -> None:
+        told.append(text)
+        if stopped and len(told) == 4:  # the second of two tests is diagnosed
+            stop.set("Ctrl-C")
+
+    found = investigate(config, tmp_path / "runs", report=report, derive=False, stop=stop)
+    assert len(found.rounds) == 2
+    assert found.verdict.status == Status.UNKNOWN
+    stored = json.loads((found.folder / "investigation.json").read_text())["verdict"]
+    assert (stored.get("empirical") is None) == stopped
+    if not stopped:
+        assert stored["empirical"]["channel"] == "force"
+        assert stored["empirical"]["closed"] > 0.5
 
 
 def test_a_fault_in_a_later_test_ends_it_with_what_the_tests_before_allow_to_say(
