@@ -400,10 +400,16 @@ class _Running(SequentialVerdict):
             raise PamrigError(self.config.source, "no test was run to its end", "begin again")
         if self.verdict is None:
             self._diagnose()
+        found = self._written()
+        if stopped or self.problem is None or self.search is None:
+            return found
+        # Not after each test: nothing asks for it there, and it takes as long as all else.
+        self.verdict = with_empirical_term(found.verdict, self.problem, self.search)
+        return self._written()
+
+    def _written(self) -> Investigation:
+        """The outcome as it is known now, written to the investigation's folder."""
         assert self.verdict is not None
-        if not stopped and self.problem is not None and self.search is not None:
-            # Not after each test: nothing asks for it there, and it takes as long as all else.
-            self.verdict = with_empirical_term(self.verdict, self.problem, self.search)
         found = Investigation(
             self.conclusion, conclusion_text(self), self.named, self.verdict, tuple(self.rounds),
             self.references, self.folder, self.ended,
