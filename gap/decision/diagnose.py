@@ -28,7 +28,7 @@ from gap.selection.config import SELECTION
 from gap.selection.further import with_further
 from gap.selection.inclusion import excess_chi2
 from gap.selection.search import SearchResult, search_effects
-from gap.selection.timing import channel_with_timing_fault
+from gap.selection.timing import channel_with_timing_fault, in_time
 from gap.validation.empirical import empirical_term
 from gap.verdict import Estimate, Explanation, Rejection, Status, Verdict, WhyNot
 from plant.arrays import Array
@@ -100,7 +100,11 @@ def verdict_by_catalogue(
     if excess_chi2(problem, problem.base) > SELECTION.timing_excess_per_row * len(problem.rows):
         timing_fault = channel_with_timing_fault(problem)
         if timing_fault is not None and doubtful:
-            return _unfit_plant(data, doubtful), None, None
+            # A channel out of time moves the constants of the muscle as well.
+            right = FitProblem.of(in_time(data, timing_fault), candidates)
+            still = doubts(right, right.base)
+            if still:
+                return _unfit_plant(data, still), None, None
         if timing_fault is not None:
             return _unfit([Unfit(timing_fault.channel, timing_fault.defect)]), None, None
     found = search_effects(problem)

@@ -8,11 +8,13 @@ was. Everything is tried beside one-sided lags, and counts only where it leaves 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter
 
+from gap.data.dataset import DataSet
+from gap.data.trial import Channel
 from gap.estimation.fit_problem import FitProblem
 from gap.selection.config import SELECTION, SelectionConfig
 from plant.arrays import Array
@@ -43,6 +45,18 @@ class TimingFault:
         word = "late" if self.late_s > 0.0 else "early"
         shift_ms = 1e3 * abs(self.late_s)
         return f"is out of time with the other channels, {word} by about {shift_ms:.0f} ms"
+
+
+def in_time(data: DataSet, fault: TimingFault) -> DataSet:
+    """The data with a late channel put right; what was smoothed stays as it is."""
+    trials = []
+    for trial in data.trials:
+        channels = dict(trial.channels)
+        if fault.channel in channels:
+            late = channels[fault.channel]
+            channels[fault.channel] = Channel(late.time_s - fault.late_s, late.value)
+        trials.append(replace(trial, channels=channels))
+    return replace(data, trials=tuple(trials))
 
 
 def channel_with_timing_fault(
