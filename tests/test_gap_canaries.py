@@ -130,6 +130,14 @@ def test_a_channel_out_of_time_is_unfit(nominal: DataSet, name: str, late_s: flo
     assert name in str(verdict.reason)
 
 
+def test_a_channel_out_of_time_does_not_hide_that_the_muscle_is_another(nominal: DataSet) -> None:
+    late = changed(nominal, "pressure_kpa", lambda _, c: Channel(c.time_s + 0.06, c.value))
+    strong = changed(late, "force_n", lambda _, c: Channel(c.time_s, 3.0 * c.value))
+    verdict = diagnose(strong)
+    assert verdict.status == "nominal_unfit"
+    assert "turns would have to be off by" in str(verdict.reason)
+
+
 def test_a_force_read_far_outside_its_trial_is_no_crash(nominal: DataSet, tmp_path: Path) -> None:
     """Only one sample of a channel, or none in common with the others, is legal data."""
 

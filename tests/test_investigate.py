@@ -23,7 +23,7 @@ from daq.interrupt import StopFlag
 from daq.store.run import open_run
 from gap.data.dataset import DataSet
 from gap.data.run_trials import run_trials
-from gap.decision.diagnose import diagnose_in_names
+from gap.decision.diagnose import diagnose_without_term
 from gap.reason import Cause, Reason
 from gap.verdict import Experiment, Status, Verdict
 from plant.effects.catalogue import CATALOGUE
@@ -209,13 +209,13 @@ def test_what_has_no_name_is_described_once_at_the_end_and_a_stop_does_not_wait_
     """All names but one are struck from the catalogue, so that the gap has none."""
 
     def knowing_leaks(data: DataSet) -> Any:
-        return diagnose_in_names(data, set(CATALOGUE) - {"leak"})
+        return diagnose_without_term(data, set(CATALOGUE) - {"leak"})
 
     def once(config: RigConfig, again: bool = False) -> list[Test]:
         return [] if again else few(config)
 
     monkeypatch.setattr(loop, "battery", once)
-    monkeypatch.setattr(loop, "diagnose_in_names", knowing_leaks)
+    monkeypatch.setattr(loop, "diagnose_without_term", knowing_leaks)
     config = rig_with(tmp_path, "[effects.liner_threshold]\nthreshold_kpa = 80\n")
     stop = StopFlag()
     told: list[str] = []

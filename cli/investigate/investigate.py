@@ -30,7 +30,7 @@ from gap.data.dataset import DataSet
 from gap.data.from_runs import export_runs, stated_plant
 from gap.data.reader import read_dataset
 from gap.decision.at_bound import relieving
-from gap.decision.diagnose import diagnose_in_names, with_empirical_term
+from gap.decision.diagnose import diagnose_without_term, with_empirical_term
 from gap.decision.sequential import Conclusion, SequentialVerdict, joint
 from gap.errors import GapError
 from gap.estimation.fit_problem import FitProblem
@@ -370,7 +370,7 @@ class _Running(SequentialVerdict):
         if self.standards:
             name += "-" + "-".join(dict.fromkeys(one.channel for one in self.standards))
         data = joined(self.runs, self.folder / name, self.plant, self.standards)
-        self.verdict, self.problem, self.search = diagnose_in_names(data)
+        self.verdict, self.problem, self.search = diagnose_without_term(data)
         self._margins = None
         self.relieving = {}
         if self.problem is not None and self.verdict.status == Status.NO_GAP_ABOVE_FLOOR:

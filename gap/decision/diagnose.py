@@ -65,16 +65,16 @@ def diagnose_with_search(
 
     FitProblem and search are None where the data are unfit or nothing can be compared.
     """
-    verdict, problem, search = diagnose_in_names(data, without)
+    verdict, problem, search = diagnose_without_term(data, without)
     if problem is not None and search is not None:
         verdict = with_empirical_term(verdict, problem, search)
     return verdict, problem, search
 
 
-def diagnose_in_names(
+def diagnose_without_term(
     data: DataSet, without: Iterable[str] = ()
 ) -> tuple[Verdict, FitProblem | None, SearchResult | None]:
-    """The diagnosis before what it has no name for is described; see `diagnose_with_search`."""
+    """The diagnosis without the term for what it has no name for; see `diagnose_with_search`."""
     known, check = with_known_errors(data)
     verdict, problem, search = verdict_by_catalogue(known, (*without, *check.cleared))
     if problem is None or search is None:
@@ -85,7 +85,7 @@ def diagnose_in_names(
 def verdict_by_catalogue(
     data: DataSet, without: Iterable[str] = ()
 ) -> tuple[Verdict, FitProblem | None, SearchResult | None]:
-    """The verdict that takes no reading of a reference standard; see `diagnose_in_names`."""
+    """The verdict that takes no reading of a reference standard; see `diagnose_without_term`."""
     candidates = candidates_without(without)
     unfit = unfit_channels(data)
     if unfit:
@@ -99,13 +99,12 @@ def verdict_by_catalogue(
         return _unfit_plant(data, [*outside, *doubtful]), None, None
     if excess_chi2(problem, problem.base) > SELECTION.timing_excess_per_row * len(problem.rows):
         timing_fault = channel_with_timing_fault(problem)
-        if timing_fault is not None and doubtful:
-            # A channel out of time moves the constants of the muscle as well.
-            right = FitProblem.of(in_time(data, timing_fault), candidates)
-            still = doubts(right, right.base)
-            if still:
-                return _unfit_plant(data, still), None, None
         if timing_fault is not None:
+            if doubtful:  # a channel out of time moves the constants of the muscle as well
+                put_right = FitProblem.of(in_time(data, timing_fault), candidates)
+                doubtful = doubts(put_right, put_right.base)
+            if doubtful:
+                return _unfit_plant(data, doubtful), None, None
             return _unfit([Unfit(timing_fault.channel, timing_fault.defect)]), None, None
     found = search_effects(problem)
     if np.any(np.abs(problem.base.shift[len(problem.names) - problem.own :]) > _MADE_UP_SD):

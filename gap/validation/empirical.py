@@ -138,8 +138,8 @@ def _with_constants_back(problem: FitProblem, first: TermSearch) -> TermSearch |
     search = first
     for tried in ([[p] for p in alone], []):
         chosen = search.select()
-        again = len(chosen) == 1 and any(own[0] is chosen[0] for own in tried)
-        wanted = tried if again else [*tried, chosen]
+        is_tried = len(chosen) == 1 and any(own[0] is chosen[0] for own in tried)
+        wanted = tried if is_tried else [*tried, chosen]
         fits = [_refitted(problem, search, own) for own in wanted if own]
         if not fits:
             break
