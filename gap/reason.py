@@ -82,6 +82,10 @@ class Cause(StrEnum):
         "a gap of which {names} explains a part and no drift over the trials: the contrast {name} "
         "still stands at {z:.1f} sd"
     )
+    PLAINER = (
+        "a gap that {names} together explain no better than one number, added to the {channel} "
+        "channel: something that the catalogue does not hold is likelier than all of them"
+    )
     UNRELIABLE = (
         "{names} fits best, but an explanation that looks like this one is right in "
         "{percent:.0f} % of cases only"

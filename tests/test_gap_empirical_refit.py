@@ -15,10 +15,10 @@ import pytest
 from gap.data.reader import read_dataset
 from gap.estimation.fit_problem import FitProblem
 from gap.validation.config import VALIDATION
-from gap.validation.empirical import _refitted, blocks_with_gap, empirical_term
+from gap.validation.empirical import blocks_with_gap, empirical_term
 from gap.validation.terms.pieces import NO_FLOWS, Piece
 from gap.validation.terms.refit import within_walls
-from gap.validation.terms.search import TermSearch, search_of
+from gap.validation.terms.search import TermSearch, refitted, search_of
 from gap_bench import write_set
 from plant.effects.empirical import FLOW, INLET_FLOW, Correction, Corrections, SplineTerm
 
@@ -34,7 +34,7 @@ def test_a_term_brings_back_constants_that_a_gap_had_led_astray(tmp_path: Path) 
     search = search_of(problem, stated, "pressure", VALIDATION)
     assert search is not None
     (piece,) = [p for p in search.pieces if p.inputs == ("pressure_kpa",) and p.scale == FLOW]
-    _, found = _refitted(problem, search, [piece])
+    _, found = refitted(problem, search, [piece])
     assert found.cost < 0.01 * problem.base.cost
     assert np.abs(found.fit.shift).max() < 0.1 * np.abs(problem.base.shift).max()
     # What the fit holds is the gap that the term is to describe, not what the term leaves.
@@ -50,7 +50,7 @@ def test_a_search_around_a_term_takes_what_it_does_as_it_is_there(tmp_path: Path
     search = search_of(problem, problem.base, "pressure", VALIDATION)
     assert search is not None
     (piece,) = [p for p in search.pieces if not p.inputs and p.scale == INLET_FLOW]
-    own, found = _refitted(problem, search, [piece])
+    own, found = refitted(problem, search, [piece])
     again = search_of(problem, found.fit, "pressure", VALIDATION, search, (own, found))
     assert again is not None
     # The gap is that of the recalibrated plant still.

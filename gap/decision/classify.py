@@ -12,6 +12,7 @@ from scipy.special import expit, logit
 
 from gap.decision.config import DECISION, DecisionConfig
 from gap.decision.confounders import Confounder, ConfounderSearch
+from gap.decision.plainer import plainer_channel
 from gap.decision.posterior import credible_set, posterior
 from gap.decision.presence import evidence_of, odds_of, only_effects
 from gap.decision.reliability import shipped_reliability
@@ -184,7 +185,7 @@ def classify(
         case, finding = _by_presence(case, _explained(case), further, odds)
         presence = [{**one.as_dict(), "probability": odds[one.id]} for one in evidence]
         finding = replace(finding, evidence={**finding.evidence, "presence": presence})
-        finding = _with_calibration(case, finding)
+        finding = _unless_plainer(case, _with_calibration(case, finding), further)
     else:
         finding = _unexplained(case)
     return _verdict(case, finding), case.search
@@ -439,6 +440,33 @@ def _with_calibration(case: _Case, finding: _Finding) -> _Finding:
     return replace(finding, status=Status.INDISTINGUISHABLE, sure=sure, reason=why)
 
 
+def _unless_plainer(case: _Case, finding: _Finding, further: SearchResult) -> _Finding:
+    """The finding where no single number does as much as the several effects of its explanation.
+
+    Args:
+        further: the search with further effects beside its best explanation (`with_further`).
+    """
+    config = case.config
+    if finding.status not in (*NAMED, *ALIKE):
+        return finding
+    channel = plainer_channel(case.problem, further, config)
+    if channel is None:
+        return finding
+    unknown = max(finding.unknown, config.plainer_unknown)
+    share = (1.0 - unknown) / max(1.0 - finding.unknown, 1e-9)
+    return replace(
+        finding,
+        status=Status.UNKNOWN,
+        reason=reason(Cause.PLAINER, names=" and ".join(further.best.fit.ids), channel=channel),
+        unknown=unknown,
+        none=finding.none * share,
+        entries=[(hypothesis, p * share) for hypothesis, p in finding.entries],
+        stage=case.nearest_stage(channel),
+        sure=(),
+        leads=False,
+    )
+
+
 def _surely_there(
     ids: tuple[str, ...], odds: Mapping[str, float], usual: float, config: DecisionConfig
 ) -> tuple[str, ...]:
@@ -464,10 +492,15 @@ _MANY = 2
 def _partly_refused(
     case: _Case, finding: _Finding, likely: tuple[str, ...], odds: Mapping[str, float]
 ) -> tuple[_Case, _Finding] | None:
-    """What of a refused explanation is named, or offered where it is only likely to be there."""
+    """What of a refused explanation is named, or offered where it is only likely to be there.
+
+    None where it explains the smaller part of the gap: the rest, which has no name, may show as it.
+    """
     sure = tuple(name for name in likely if odds[name] >= case.config.present_in_refused)
     found = _partly(case, finding, sure or likely, odds)
-    if found is None or sure:
+    if found is None or found[0].share < case.config.least_in_refused:
+        return None
+    if sure:
         return found
     part, offered = found
     right = case.reliability["right"] + case.reliability["part"]

@@ -63,6 +63,11 @@ class DecisionConfig:
     offered. Fewer wrong names. Set on: pairs 52000 to 52419 of the held-out forms and investigation
     575, where 7 of 9 such effects between 0.9 and this were not there, and the friction of a
     measured cylinder, which has 0.95."""
+    least_in_refused: float = 0.5
+    """Least part of the gap that the named effects of a refused explanation must explain. What has
+    no name is else larger than they are, and may show as they do. A matter of definition. In pairs
+    53435 to 53604 of the held-out forms three of five wrong names of refused explanations explained
+    less, none of the seven right ones did."""
     beyond_presence: float = 0.5
     """Share of the probability of an effect outside the catalogue, of an explanation as a whole,
     that stays where effects of it are named in any case. Set on: practice sets 60000 to 60409 and
@@ -106,6 +111,16 @@ class DecisionConfig:
     Set on: pairs 52000 to 52279 of the held-out forms, where 6 of 6 such effects between 0.8 and
     0.94 were not there, and sets 956 to 964 of the stream `several`, where no explanation is as
     doubtful."""
+
+    # One number in the place of several effects
+    plainer_share: float = 0.95
+    """Share of what several effects explain that one number, added to one channel, must explain to
+    stand in their place. A matter of definition: a twentieth is what inexact forms leave."""
+    plainer_single: float = 0.9
+    """Share of it that no entry of the catalogue may explain alone: else the others are beside that
+    one. A matter of definition."""
+    plainer_unknown: float = 0.7
+    """Least probability of `unknown` where such a number does as much. A matter of definition."""
 
     # Form of the named effect
     form_share: float = 0.9

@@ -17,10 +17,9 @@ from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.features import BLOCKS, UNITS
 from gap.validation.config import VALIDATION, ValidationConfig
 from gap.validation.expression import compact_expression
-from gap.validation.terms.held_out_terms import Whole
 from gap.validation.terms.pieces import Piece
-from gap.validation.terms.refit import FittedTerm, TermColumns, fitted_with_term, within_walls
-from gap.validation.terms.search import HALF, TermSearch, search_of
+from gap.validation.terms.refit import within_walls
+from gap.validation.terms.search import HALF, TermSearch, refitted, search_of
 from gap.verdict import EmpiricalTerm, NearEntry, TermCourse
 from plant.arrays import Array
 from plant.effects.empirical import (
@@ -140,7 +139,7 @@ def _with_constants_back(problem: FitProblem, first: TermSearch) -> TermSearch |
         chosen = search.select()
         is_tried = len(chosen) == 1 and any(own[0] is chosen[0] for own in tried)
         wanted = tried if is_tried else [*tried, chosen]
-        fits = [_refitted(problem, search, own) for own in wanted if own]
+        fits = [refitted(problem, search, own) for own in wanted if own]
         if not fits:
             break
         # The number of a term's columns counts as in a comparison of models (Schwarz 1978).
@@ -153,20 +152,6 @@ def _with_constants_back(problem: FitProblem, first: TermSearch) -> TermSearch |
             break
         search = there
     return None if search is first else search
-
-
-def _refitted(
-    problem: FitProblem, search: TermSearch, chosen: Sequence[Piece]
-) -> tuple[Whole, FittedTerm]:
-    """Constants fitted with some pieces, and the numbers of their columns."""
-    own = np.sort(search.columns(chosen))
-    columns = np.zeros((len(problem.rows), len(own)))
-    columns[problem.rows.block == BLOCKS.index(search.block)] = search.basis[:, own]
-    penalty = search.terms.penalty[np.ix_(own, own)]
-    plain = search.basis.shape[1] - len(search.flows.scales)
-    flows = search.flows.only(own[own >= plain] - plain)
-    term = TermColumns(columns, penalty, flows)
-    return own, fitted_with_term(problem, search.fit, term, search.terms.coefficients(own))
 
 
 def _stated(

@@ -30,7 +30,7 @@ from gap.validation.terms.pieces import (
     raised,
     with_flows,
 )
-from gap.validation.terms.refit import FittedTerm
+from gap.validation.terms.refit import FittedTerm, TermColumns, fitted_with_term
 from plant.arrays import Array
 from plant.effects.empirical import IN_GAS, INPUTS, SCALE_INPUTS
 
@@ -267,6 +267,20 @@ def search_of(
     floor = floor_squares(problem, problem.units)[block][list(terms.slots)]
     made = TermSearch(block, fit, pieces, columns, flows, terms, plain, base - floor, floor, config)
     return made if made.gaps.sum() > 0.0 else None
+
+
+def refitted(
+    problem: FitProblem, search: TermSearch, chosen: Sequence[Piece]
+) -> tuple[Whole, FittedTerm]:
+    """Constants fitted with some pieces, and the numbers of their columns."""
+    own = np.sort(search.columns(chosen))
+    columns = np.zeros((len(problem.rows), len(own)))
+    columns[problem.rows.block == BLOCKS.index(search.block)] = search.basis[:, own]
+    penalty = search.terms.penalty[np.ix_(own, own)]
+    plain = search.basis.shape[1] - len(search.flows.scales)
+    flows = search.flows.only(own[own >= plain] - plain)
+    term = TermColumns(columns, penalty, flows)
+    return own, fitted_with_term(problem, search.fit, term, search.terms.coefficients(own))
 
 
 def _rms(x: Array | None) -> float:
