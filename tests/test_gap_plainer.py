@@ -11,7 +11,7 @@ import pytest
 from gap.data.from_runs import open_data
 from gap.decision.classify import _Case, _Finding, _unless_plainer
 from gap.decision.config import DECISION
-from gap.decision.plainer import plainer_channel
+from gap.decision.confounders import plainer_channel
 from gap.decision.presence import only_effects
 from gap.estimation.fit_problem import FitProblem
 from gap.reason import Cause, reason

@@ -11,8 +11,7 @@ import numpy as np
 from scipy.special import expit, logit
 
 from gap.decision.config import DECISION, DecisionConfig
-from gap.decision.confounders import Confounder, ConfounderSearch
-from gap.decision.plainer import plainer_channel
+from gap.decision.confounders import Confounder, ConfounderSearch, plainer_channel
 from gap.decision.posterior import credible_set, posterior
 from gap.decision.presence import evidence_of, odds_of, only_effects
 from gap.decision.reliability import shipped_reliability
