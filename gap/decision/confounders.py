@@ -124,7 +124,7 @@ def plainer_channel(
         if found is None:
             continue
         for piece in found.pieces:
-            told = found.terms.explained(piece.at, frozenset()) > _HALF * gained
+            told = found.terms.explained(piece.at, frozenset()) > _WORTH_FITTING * gained
             if len(piece.at) > 1 or not told:
                 continue
             gain = problem.base.cost - refitted(problem, found, [piece])[1].cost
@@ -137,5 +137,6 @@ def plainer_channel(
     return None if does_much else best
 
 
-_HALF = 0.5
-"""Share of the gain below which a number that is fitted in proportion is not fitted in full."""
+_WORTH_FITTING = 0.5
+"""Share of the gain that a number must explain in proportion to be fitted with the constants. A
+matter of definition: a large number does more than its proportion says."""
