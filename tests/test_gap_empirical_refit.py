@@ -14,8 +14,9 @@ import pytest
 
 from gap.data.reader import read_dataset
 from gap.estimation.fit_problem import FitProblem
+from gap.model.features import BLOCKS
 from gap.validation.config import VALIDATION
-from gap.validation.empirical import blocks_with_gap, empirical_term
+from gap.validation.empirical import _Found, _simplest, blocks_with_gap, empirical_term
 from gap.validation.terms.pieces import NO_FLOWS, Piece
 from gap.validation.terms.refit import within_walls
 from gap.validation.terms.search import TermSearch, refitted, search_of
@@ -83,6 +84,41 @@ def test_constants_within_their_tolerance_stay_where_the_fit_has_them(tmp_path: 
     problem = FitProblem.of(read_dataset(write_set(tmp_path / "data", {})))
     assert np.abs(problem.base.shift).max() < 3.0
     assert within_walls(problem, problem.base) is problem.base
+
+
+@pytest.mark.parametrize(
+    ("effect", "channel"),
+    [
+        ({"polytropic": {"exponent": 1.3}}, "pressure"),
+        ({"flow_area": {"ratio": 0.6, "side": "inlet"}}, "pressure"),
+        ({"braid_friction": {"friction_n": 3.0}}, "force"),
+    ],
+)
+def test_a_channel_that_another_one_has_led_astray_shows_no_gap_of_its_own(
+    tmp_path: Path, effect: dict[str, Any], channel: str
+) -> None:
+    """The gas of 1.3 in place of 1.2 leaves the larger gap in the force: that of bent constants."""
+    problem = FitProblem.of(read_dataset(write_set(tmp_path / "data", effect)))
+    walled = within_walls(problem, problem.base)
+    assert blocks_with_gap(problem, walled)[0] == channel
+    # Both channels show a gap where the constants are those of both.
+    excess = walled.residual**2 / problem.floor_variance - 1.0
+    shown = {name: excess[problem.rows.block == k].sum() for k, name in enumerate(BLOCKS)}
+    assert shown["force"] > 1000.0
+
+
+def test_what_depends_on_fewer_inputs_is_taken_where_it_closes_about_as_much() -> None:
+    """Searches at other constants may describe the same gap with one input more."""
+    knots = ((0.0, 1.0),)
+    one, other = (
+        Piece((name,), knots, "", np.array([0, 1]), np.zeros((2, 2)))
+        for name in ("length_mm", "pressure_kpa")
+    )
+    nothing = cast(Any, None)
+    few = _Found(nothing, [one], nothing, 0.80)
+    many = _Found(nothing, [one, other], nothing, 0.85)
+    assert _simplest([many, few], 0.15) is few
+    assert _simplest([many, few], 0.05) is many
 
 
 class Told(TermSearch):

@@ -40,8 +40,6 @@ class ValidationConfig:
     """Slots without which nothing can be held out of one. A matter of definition."""
     most_words: int = 4
     """Terms of a compact expression."""
-    tried_terms: int = 10
-    """Terms whose held-out error is taken at each step of the selection."""
     refitted_terms: int = 4
     """Terms with which the constants are fitted anew, beside the selected ones. Set on: not tuned.
     """

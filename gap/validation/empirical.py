@@ -9,15 +9,18 @@ no part in the selection either: it is repeated without each slot.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
+from gap.estimation.config import ESTIMATION
 from gap.estimation.cross_validation import HeldOut, floor_squares
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.model.features import BLOCKS, UNITS
 from gap.validation.config import VALIDATION, ValidationConfig
 from gap.validation.expression import compact_expression
-from gap.validation.terms.pieces import Piece
+from gap.validation.terms.pieces import Piece, groups_of
 from gap.validation.terms.refit import within_walls
 from gap.validation.terms.search import HALF, TermSearch, refitted, search_of
 from gap.verdict import EmpiricalTerm, NearEntry, TermCourse
@@ -32,18 +35,46 @@ from plant.effects.empirical import (
 def blocks_with_gap(problem: FitProblem, fit: FitResult) -> list[str]:
     """Blocks whose residual is larger than the noise explains, largest excess chi-square first.
 
-    The camera counts least: what it shows of a held length is no part of the plant.
+    The camera counts least: what it shows of a held length is no part of the plant. Where one block
+    shows a gap whatever the constants are, others that show none with constants of their own are
+    left out: there the constants were led astray by the first.
     """
-    whitened = fit.residual**2 / problem.floor_variance - 1.0
     excess = {
-        name: float(whitened[problem.rows.block == number].sum())
-        * (_CAMERA if name == "camera" else 1.0)
+        name: _excess(problem, fit.residual, number) * (_CAMERA if name == "camera" else 1.0)
         for number, name in enumerate(BLOCKS)
     }
-    return sorted((b for b, e in excess.items() if e > 0.0), key=lambda b: -excess[b])
+    shown = sorted((b for b, e in excess.items() if e > 0.0), key=lambda b: -excess[b])
+    if len(shown) < 2:
+        return shown
+    own = [b for b in shown if _has_own_gap(problem, fit, BLOCKS.index(b))]
+    return own or shown
 
 
 _CAMERA = 0.2
+_OWN_SD = 3.0
+"""Standard errors of a chi-square beyond which it is a gap. A matter of definition."""
+
+
+def _excess(problem: FitProblem, residual: Array, block: int) -> float:
+    """Chi-square of one block beyond what the noise explains."""
+    here = problem.rows.block == block
+    return float((residual[here] ** 2 / problem.floor_variance[here] - 1.0).sum())
+
+
+def _has_own_gap(problem: FitProblem, fit: FitResult, block: int) -> bool:
+    """Whether constants, within their tolerances, that suit this block alone leave a gap in it."""
+    here = problem.rows.block == block
+    n = len(fit.shift)
+    wall = np.maximum(ESTIMATION.tolerance_sd, np.abs(fit.shift))
+    columns = problem.columns_of(fit)[:, :n]
+    sd = np.sqrt(problem.floor_variance[here])
+    found = lsq_linear(
+        np.vstack([columns[here] / sd[:, None], np.eye(n)]),
+        np.r_[fit.residual[here] / sd, -fit.shift],
+        (-wall - fit.shift, wall - fit.shift + 1e-9),
+    )
+    left = _excess(problem, fit.residual - columns @ found.x, block)
+    return left > _OWN_SD * float(np.sqrt(2.0 * here.sum()))
 
 
 def empirical_term(
@@ -71,18 +102,36 @@ def _term_of(
     first = search_of(problem, fit, block, config, walled=walled)
     if first is None:
         return None
-    best: tuple[TermSearch, list[Piece], HeldOut] | None = None
-    most = -np.inf
+    found: list[_Found] = []
     for search in _searches(problem, first):
         chosen = search.select()
         held = _held_out(problem, search) if chosen else None
         closed = held.closed() if held is not None else None
-        if held is None or closed is None or not _closes(held, config) or closed[0] <= most:
+        if held is None or closed is None or not _closes(held, config):
             continue
-        best, most = (search, chosen, held), closed[0]
-        if most > config.foretold_share:
+        found.append(_Found(search, chosen, held, closed[0]))
+        if closed[0] > config.foretold_share:
             break
-    return None if best is None else _stated(problem, fit, *best, nearest)
+    if not found:
+        return None
+    best = _simplest(found, config.alike_share)
+    return _stated(problem, fit, best.search, best.chosen, best.held, nearest)
+
+
+class _Found(NamedTuple):
+    """What one search has found, and the share of the gap that it closes."""
+
+    search: TermSearch
+    chosen: list[Piece]
+    held: HeldOut
+    closed: float
+
+
+def _simplest(found: Sequence[_Found], alike_share: float) -> _Found:
+    """What depends on the fewest inputs of those that close about as much as the best."""
+    least = (1.0 - alike_share) * max(one.closed for one in found)
+    alike = [one for one in found if one.closed >= least]
+    return min(alike, key=lambda one: (len(groups_of(one.chosen)), -one.closed))
 
 
 def _searches(problem: FitProblem, first: TermSearch) -> Iterator[TermSearch]:

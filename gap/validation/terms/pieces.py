@@ -6,6 +6,7 @@ summed up over time to a pressure.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -125,6 +126,11 @@ class Piece:
         """
         made = frozenset(INPUTS[name] for name in (*self.inputs, *SCALE_INPUTS[self.scale]))
         return made | {_HISTORY} if self.scale in FLOWS else made
+
+
+def groups_of(pieces: Iterable[Piece]) -> frozenset[str]:
+    """What some pieces depend on together; see `Piece.groups`."""
+    return frozenset[str]().union(*(piece.groups for piece in pieces))
 
 
 def pieces_of(at: dict[str, Array], count: int) -> tuple[tuple[Piece, ...], Array]:

@@ -26,6 +26,7 @@ from gap.validation.terms.pieces import (
     NO_FLOWS,
     FlowColumns,
     Piece,
+    groups_of,
     pieces_of,
     raised,
     with_flows,
@@ -107,11 +108,8 @@ class TermSearch:
     ) -> tuple[Piece, Array] | None:
         """The simplest piece of those that do about as well as the best."""
         new = [p for p in self.pieces if not any(one.holds(p) for one in chosen)]
-        # What explains least of the slots that it is fitted to will not predict the others.
-        new.sort(key=lambda p: -self.terms.explained(self.columns([*chosen, p]), without))
         tried: list[tuple[Piece, Array]] = []
-        first = new[: self.config.tried_terms]
-        for piece in [*first, *(p for p in new if not p.inputs and p not in first)]:
+        for piece in new:
             after = self.errors([*chosen, piece], without)
             gain, sure = gain_and_errors(errors, after)
             # One slot alone may hold most of a gap: no number of standard errors shows it then.
@@ -180,7 +178,7 @@ class TermSearch:
 
         Empty where all of it is an offset.
         """
-        names = sorted(frozenset[str]().union(*(piece.groups for piece in chosen)))
+        names = sorted(groups_of(chosen))
         nothing = float(self.errors([]).sum())
         worth = {
             frozenset(some): nothing
