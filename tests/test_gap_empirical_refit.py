@@ -97,7 +97,7 @@ def test_constants_within_their_tolerance_stay_where_the_fit_has_them(tmp_path: 
 def test_a_channel_that_another_one_has_led_astray_shows_no_gap_of_its_own(
     tmp_path: Path, effect: dict[str, Any], channel: str
 ) -> None:
-    """The gas of 1.3 in place of 1.2 leaves the larger gap in the force: that of bent constants."""
+    """An exponent of 1.3 in place of 1 leaves the larger gap in the force, by bent constants."""
     problem = FitProblem.of(read_dataset(write_set(tmp_path / "data", effect)))
     walled = within_walls(problem, problem.base)
     assert blocks_with_gap(problem, walled)[0] == channel
@@ -183,9 +183,6 @@ def test_of_pieces_that_do_as_well_the_one_with_few_knots_enters() -> None:
         {"": [100.0, 90.0, 95.0], "few": [10.0, 11.0, 12.0], "many": [9.0, 10.0, 11.0]}, 250.0
     )
     search.pieces = (few, many)
-    search.terms = cast(
-        Any, SimpleNamespace(slots=(0, 1, 2), explained=lambda columns, without: 1.0)
-    )
     found = search._next([], search.errors([]), frozenset())
     assert found is not None
     assert found[0] is few
@@ -196,12 +193,19 @@ def test_a_piece_that_closes_most_of_a_gap_enters_though_one_slot_holds_it() -> 
     search, pieces = told(
         {"": [400.0, 2.0, 2.0], "a": [20.0, 2.1, 2.1], "b": [390.0, 2.0, 2.0]}, 400.0
     )
-    search.terms = cast(
-        Any, SimpleNamespace(slots=(0, 1, 2), explained=lambda columns, without: 1.0)
-    )
     found = search._next([], search.errors([]), frozenset())
     assert found is not None
     assert found[0] is pieces["a"]
+
+
+def test_the_last_of_many_pieces_enters_where_it_alone_closes_the_gap() -> None:
+    """Coils that heat up were told by the 48th part: the others explained more where fitted."""
+    names = [f"p{k:02d}" for k in range(60)]
+    none: dict[str, list[float]] = {name: [100.0] * 3 for name in ("", *names)}
+    search, pieces = told(none | {names[-1]: [3.0, 2.0, 2.5]}, 300.0)
+    found = search._next([], search.errors([]), frozenset())
+    assert found is not None
+    assert found[0] is pieces[names[-1]]
 
 
 def test_what_a_piece_must_close_is_a_share_of_the_gap_that_is_seen() -> None:
@@ -222,9 +226,6 @@ def test_of_a_large_gap_what_leaves_much_more_is_not_as_good() -> None:
         )
         fine = Piece(("pressure_kpa",), ((0.0, 1.0),), "fine", np.array([0]), np.zeros((1, 1)))
         search.pieces = (fine, pieces["offset"])
-        search.terms = cast(
-            Any, SimpleNamespace(slots=(0, 1, 2), explained=lambda columns, without: 1.0)
-        )
         found = search._next([], search.errors([]), frozenset())
         assert found is not None
         assert found[0].scale == expected

@@ -35,9 +35,9 @@ from plant.effects.empirical import (
 def blocks_with_gap(problem: FitProblem, fit: FitResult) -> list[str]:
     """Blocks whose residual is larger than the noise explains, largest excess chi-square first.
 
-    The camera counts least: what it shows of a held length is no part of the plant. Where one block
-    shows a gap whatever the constants are, others that show none with constants of their own are
-    left out: there the constants were led astray by the first.
+    The camera counts least: what it shows of a held length is no part of the plant. A block that
+    constants fitted to it alone explain is left out, if there is another that they do not: its gap
+    is that of constants which the other has led astray.
     """
     excess = {
         name: _excess(problem, fit.residual, number) * (_CAMERA if name == "camera" else 1.0)
@@ -46,7 +46,8 @@ def blocks_with_gap(problem: FitProblem, fit: FitResult) -> list[str]:
     shown = sorted((b for b, e in excess.items() if e > 0.0), key=lambda b: -excess[b])
     if len(shown) < 2:
         return shown
-    own = [b for b in shown if _has_own_gap(problem, fit, BLOCKS.index(b))]
+    columns = problem.columns_of(fit)[:, : len(fit.shift)]
+    own = [b for b in shown if _has_own_gap(problem, fit, BLOCKS.index(b), columns)]
     return own or shown
 
 
@@ -61,15 +62,17 @@ def _excess(problem: FitProblem, residual: Array, block: int) -> float:
     return float((residual[here] ** 2 / problem.floor_variance[here] - 1.0).sum())
 
 
-def _has_own_gap(problem: FitProblem, fit: FitResult, block: int) -> bool:
-    """Whether constants, within their tolerances, that suit this block alone leave a gap in it."""
+def _has_own_gap(problem: FitProblem, fit: FitResult, block: int, columns: Array) -> bool:
+    """Whether constants fitted to this block alone, within their tolerances, leave a gap in it.
+
+    Args:
+        columns: what each constant adds to the prediction, shape (rows, constants).
+    """
     here = problem.rows.block == block
-    n = len(fit.shift)
     wall = np.maximum(ESTIMATION.tolerance_sd, np.abs(fit.shift))
-    columns = problem.columns_of(fit)[:, :n]
     sd = np.sqrt(problem.floor_variance[here])
     found = lsq_linear(
-        np.vstack([columns[here] / sd[:, None], np.eye(n)]),
+        np.vstack([columns[here] / sd[:, None], np.eye(len(wall))]),
         np.r_[fit.residual[here] / sd, -fit.shift],
         (-wall - fit.shift, wall - fit.shift + 1e-9),
     )
