@@ -308,7 +308,7 @@ def _explained(case: _Case) -> _Finding:
             "traits": case.traits,
         },
     )  # fmt: skip
-    if reliability["unknown"] > config.unknown:
+    if reliability["unknown"] > (config.unknown_several if len(fit.ids) > 1 else config.unknown):
         return finding
     drift = remaining_drift(problem, fit)
     if drift is not None:
@@ -494,7 +494,10 @@ def _partly_refused(
     """What of a refused explanation is named, or offered where it is only likely to be there.
 
     None where it explains the smaller part of the gap: the rest, which has no name, may show as it.
+    None also where the explanation has many effects: so many together stand for nearly anything.
     """
+    if len(case.search.best.fit.ids) > case.config.most_in_refused:
+        return None
     sure = tuple(name for name in likely if odds[name] >= case.config.present_in_refused)
     found = _partly(case, finding, sure or likely, odds)
     if found is None or found[0].share < case.config.least_in_refused:

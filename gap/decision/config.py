@@ -47,6 +47,12 @@ class DecisionConfig:
     """For several effects: least probability that all of them are right."""
     unknown: float = 0.45
     """Probability of an effect outside the catalogue from which the verdict is `unknown`."""
+    unknown_several: float = 0.35
+    """The same for an explanation of several effects: where something has no name, several of the
+    catalogue stand for it more easily than one. More unknown effects found, fewer wrong names.
+    Set on: pairs 53435 to 53513 and 53545 to 53721 of the held-out forms and their partners, where
+    of such explanations that named nothing 1 of 8 between 0.35 and 0.45 held a right effect, and 4
+    of 6 between 0.3 and 0.35."""
     drift_unknown: float = 0.5
     """Least probability of `unknown` where a drift over the trials is left."""
 
@@ -68,6 +74,11 @@ class DecisionConfig:
     no name is else larger than they are, and may show as they do. A matter of definition. In pairs
     53545 to 53604 of the held-out forms and the partners of 53435 to 53513, three of five wrong
     names of refused explanations explained less, none of five right ones did."""
+    most_in_refused: int = 3
+    """Most effects of a refused explanation, further ones included, of which any is named. Fewer
+    wrong names. Set on: pairs 53435 to 53513 and 53545 to 53721 of the held-out forms and their
+    partners, where such explanations of four and five effects named a wrong one in 5 of 5 sets, and
+    those of up to three in none of 6."""
     beyond_presence: float = 0.5
     """Share of the probability of an effect outside the catalogue, of an explanation as a whole,
     that stays where effects of it are named in any case. Set on: practice sets 60000 to 60409 and

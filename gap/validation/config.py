@@ -27,7 +27,8 @@ class ValidationConfig:
     least_rivals: int = 2
     """Rivals of other families in any case: the nearest are fitted for it."""
     family_wise: float = 0.01
-    """Rate of data sets without a gap in which any designed comparison may raise an alarm."""
+    """Rate of data sets without a gap in which any designed comparison may raise an alarm, and rate
+    of those in which any drift over the trials may."""
     by_noise: float = 0.05
     """Rate of such data sets in which noise alone makes the largest comparison as large as one
     that raises an alarm. A matter of definition."""

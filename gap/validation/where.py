@@ -116,13 +116,18 @@ def contrasts_of(problem: FitProblem, fit: FitResult | None = None) -> tuple[Con
     that slots agree (1 %, whatever the noise is), and that the contrast is larger than the noise
     makes the largest of the table (5 %, by simulated data sets without a gap). A few slots may
     agree by chance on a difference far below the noise, and one gain acts on all slots. A drift
-    over the trials needs the first alone: replicates far apart in time take it for noise.
+    over the trials needs the first alone, as replicates far apart in time take it for noise, and
+    drifts have 1 % of their own: they are few, and nothing else shows what replicates hide.
     """
     residual = (problem.base if fit is None else fit).residual
     found = [(c, c.z(residual)) for c in _comparisons(problem)]
     found.sort(key=lambda item: -abs(item[1]))
-    least = float(norm.isf(VALIDATION.family_wise / 2.0 / max(len(found), 1)))
-    agree = [abs(z) > least for _, z in found]
+    drifts = sum(c.drift for c, _ in found)
+    least, least_drift = (
+        float(norm.isf(VALIDATION.family_wise / 2.0 / max(count, 1)))
+        for count in (len(found), drifts)
+    )
+    agree = [abs(z) > (least_drift if c.drift else least) for c, z in found]
     large = _larger_than_noise(problem, residual, [c for c, _ in found]) if any(agree) else agree
     return tuple(
         # Noise that was learnt from replicates holds a drift over the trials as well.
