@@ -19,6 +19,7 @@ from gap.data.reader import read_dataset
 from gap.decision.classify import (
     _by_presence,
     _Case,
+    _explained,
     _Finding,
     _judged,
     _least,
@@ -119,6 +120,28 @@ def test_a_refused_explanation_names_nothing_that_explains_the_smaller_part(two:
     odds = {first: 0.92, other: 0.2}
     assert _by_presence(two, refused(two), two.search, odds)[1].status is Status.INDISTINGUISHABLE
     assert _by_presence(stricter, refused(two), two.search, odds)[1].status is Status.UNKNOWN
+
+
+def test_a_refused_explanation_of_many_effects_names_nothing(two: _Case) -> None:
+    """Pairs 53573, 53599, 53644 and 53704: one of four or five effects was sure, and wrong."""
+    odds = {"leak": 0.98, "bladder_elasticity": 0.6}
+    fewer = replace(two, config=replace(DECISION, most_in_refused=1))
+    found = _by_presence(fewer, refused(two), two.search, odds)[1]
+    assert (found.status, found.sure) == (Status.UNKNOWN, ())
+    assert _by_presence(two, refused(two), two.search, odds)[1].sure == ("leak",)
+
+
+@pytest.mark.parametrize(("effects", "unknown", "foreign"), [
+    (1, 0.44, False), (2, 0.44, True), (2, 0.34, False), (1, 0.46, True),
+])  # fmt: skip
+def test_several_effects_stand_for_something_foreign_sooner_than_one(
+    two: _Case, one: _Case, effects: int, unknown: float, foreign: bool
+) -> None:
+    """Pairs 53472, 53482, 53590 and 53704: two to four stood for one that was struck."""
+    case = replace(two if effects == 2 else one)
+    case.__dict__["reliability"] = {"right": 0.5, "part": 0.0, "other": 0.0, "unknown": unknown}
+    found = _explained(case)
+    assert (found.status is Status.UNKNOWN) is foreign
 
 
 def test_what_is_named_in_any_case_is_seldom_all_there_is(two: _Case) -> None:

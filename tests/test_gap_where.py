@@ -22,7 +22,7 @@ from gap.validation.chain import Chain
 from gap.validation.maps import residual_maps
 from gap.validation.shapley import _shapley, common_squares, waterfall
 from gap.validation.where import contrasts_of, stage_shares
-from gap.verdict import Share
+from gap.verdict import Contrast, Share
 from gap_bench import write_set
 from gap_sets import settled_set
 from plant.effects.sensors.linearity import CALIBRATION_CURVE
@@ -225,3 +225,35 @@ def test_a_contrast_on_which_slots_agree_raises_an_alarm_only_above_the_noise(
     thirds = next(c for c in found if c.name == "first-last third (force)")
     assert abs(thirds.z) > 3.5  # slots agree, whatever the size
     assert thirds.alarm is alarm
+
+
+@pytest.mark.parametrize(
+    ("name", "alarm"), [("early-late trials (force)", True), ("first-last third (force)", False)]
+)
+def test_a_drift_over_the_trials_is_told_sooner_than_another_contrast(
+    examined: dict[str, Fitted], name: str, alarm: bool
+) -> None:
+    """Pairs 53456 and 53636: wear that the catalogue lacked stood at 3.0 to 3.3, in 12 contrasts.
+
+    Nothing else showed it, as replicates take it for noise.
+    """
+    problem = examined["neither"].problem
+    rows, trials = problem.rows, problem.noise.trial_rows
+    spread = np.random.default_rng(3).normal(0.0, 1.0, len(trials))
+    drifts = name.startswith("early-late")
+
+    def contrasts(size_n: float) -> dict[str, Contrast]:
+        residual = np.zeros(len(rows))
+        for number, trial in enumerate(trials):
+            early = rows.time_s[trial] < np.median(rows.time_s[trial])
+            order = number / len(trials) - 0.5
+            change = (size_n * order + spread[number]) if drifts else (size_n + spread[number])
+            residual[trial] = change if drifts else np.where(early, change, -change)
+        found = contrasts_of(problem, replace(problem.base, residual=residual))
+        return {one.name: one for one in found}
+
+    size = next(s for s in np.linspace(0.0, 20.0, 401) if abs(contrasts(float(s))[name].z) > 3.0)
+    found = contrasts(float(size))
+    assert abs(found[name].z) < 3.2
+    assert len(found) >= 8
+    assert found[name].alarm is alarm
