@@ -343,6 +343,22 @@ def test_a_gap_in_one_slot_is_closed_where_the_term_foretold_it() -> None:
     assert not _closes(two_slots, VALIDATION)  # of one large slot it closes a quarter
 
 
+def test_a_gap_is_closed_where_half_of_it_was_foretold_in_each_of_three_slots_that_have_one() -> (
+    None
+):
+    """Practice set 44201, an outlet that shuts late: most of the gap is in one slot of five."""
+    before = [21.7, 16.1, 35.2, 296.2, 1.8]
+    after = [2.9, 3.7, 1.7, 143.0, 0.8]
+    found = held(before, after).closed()
+    assert found is not None
+    assert found[1] < 0.0
+    assert _closes(held(before, after), VALIDATION)
+    one_missed = [2.9, 10.0, 1.7, 143.0, 0.8]
+    assert not _closes(held(before, one_missed), VALIDATION)
+    two_with_gap = [1.5, 1.6, 30.0, *before[3:]]
+    assert not _closes(held(two_with_gap, [1.2, 1.2, *after[2:]]), VALIDATION)
+
+
 def test_a_leak_without_a_name_is_found_by_the_pressure_that_drives_it(tmp_path: Path) -> None:
     """The pressure falls by itself, in every valve test. On tests as short as these an addition to
     the pressure carries to slots left out as well as a flow does: the input is told, not the form.

@@ -65,6 +65,9 @@ class ValidationConfig:
     foretold_share: float = 0.9
     """Share of the gap above which a term closes it where one slot holds it and the jackknife says
     nothing; from there on no other constants are tried either. Set on: practice set 43115."""
+    foretold_slots: int = 3
+    """Slots with a gap larger than their floor, of each of which a term must foretell half, for it
+    to close the gap although one of them holds most of it. A matter of definition."""
     term_sd: float = 5.0
     """Prior of a term's coefficients, in rms of the residual: all but free."""
     term_bend: float = 0.5

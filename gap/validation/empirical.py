@@ -165,17 +165,22 @@ def _closes(held: HeldOut, config: ValidationConfig) -> bool:
     For sure, or half of a gap that is as large as the floor, and half of it in most of the slots
     that hold a large part: where a gap is large in few slots the jackknife says nothing, yet a term
     that was fitted without such a slot has foretold it. Where one slot alone holds a large part,
-    nearly all of it must be foretold.
+    nearly all of it must be foretold, or half of the gap in each of three slots and more that
+    have one.
     """
     found = held.closed()
     if found is None or found[1] > 0.0:
         return found is not None
     gap = held.recalibrated - held.floor
+    foretold = held.recalibrated - held.after > HALF * gap
+    if float(gap.sum()) <= float(held.floor.sum()) or found[0] <= HALF:
+        return False
+    with_gap = gap > held.floor
+    if np.count_nonzero(with_gap) >= config.foretold_slots and foretold[with_gap].all():
+        return True
     large = gap > config.large_slot * gap.sum()
-    foretold = (held.recalibrated - held.after)[large] > HALF * gap[large]
-    seen = float(gap.sum()) > float(held.floor.sum())
     share = HALF if np.count_nonzero(large) > 1 else config.foretold_share
-    return seen and found[0] > share and float(foretold.mean()) > HALF
+    return found[0] > share and float(foretold[large].mean()) > HALF
 
 
 def _with_constants_back(problem: FitProblem, first: TermSearch) -> TermSearch | None:
