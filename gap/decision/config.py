@@ -51,8 +51,8 @@ class DecisionConfig:
     """The same for an explanation of several effects: where something has no name, several of the
     catalogue stand for it more easily than one. More unknown effects found, fewer wrong names.
     Set on: pairs 53435 to 53513 and 53545 to 53721 of the held-out forms and their partners, where
-    of such explanations that named nothing 1 of 8 between 0.35 and 0.45 held a right effect, and 4
-    of 6 between 0.3 and 0.35."""
+    of such explanations that named nothing 1 of 7 between 0.35 and 0.45 held a right effect, and 3
+    of 5 between 0.3 and 0.35."""
     drift_unknown: float = 0.5
     """Least probability of `unknown` where a drift over the trials is left."""
 
@@ -78,7 +78,7 @@ class DecisionConfig:
     """Most effects of a refused explanation, further ones included, of which any is named. Fewer
     wrong names. Set on: pairs 53435 to 53513 and 53545 to 53721 of the held-out forms and their
     partners, where such explanations of four and five effects named a wrong one in 5 of 5 sets, and
-    those of up to three in none of 6."""
+    those of up to three in none of 5."""
     beyond_presence: float = 0.5
     """Share of the probability of an effect outside the catalogue, of an explanation as a whole,
     that stays where effects of it are named in any case. Set on: practice sets 60000 to 60409 and
