@@ -245,10 +245,11 @@ def test_a_drift_over_the_trials_is_told_sooner_than_another_contrast(
     def contrasts(size_n: float) -> dict[str, Contrast]:
         residual = np.zeros(len(rows))
         for number, trial in enumerate(trials):
-            early = rows.time_s[trial] < np.median(rows.time_s[trial])
-            order = number / len(trials) - 0.5
-            change = (size_n * order + spread[number]) if drifts else (size_n + spread[number])
-            residual[trial] = change if drifts else np.where(early, change, -change)
+            if drifts:
+                residual[trial] = size_n * (number / len(trials) - 0.5) + spread[number]
+            else:
+                early = rows.time_s[trial] < np.median(rows.time_s[trial])
+                residual[trial] = np.where(early, 1.0, -1.0) * (size_n + spread[number])
         found = contrasts_of(problem, replace(problem.base, residual=residual))
         return {one.name: one for one in found}
 
