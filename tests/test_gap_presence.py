@@ -305,7 +305,9 @@ def test_an_effect_that_leaves_nothing_is_told_apart_from_what_looks_like_it_but
     assert not any(_told_apart(one, each) for each in like)
 
 
-@pytest.mark.parametrize(("known", "with_more", "wider"), [(0.6, 0.3, True), (0.3, 0.6, False)])
+@pytest.mark.parametrize(("known", "with_more", "wider"), [
+    (0.6, 0.3, True), (0.3, 0.6, False), (0.44, 0.4, False),  # named alone, refused together
+])  # fmt: skip
 def test_an_explanation_is_judged_with_further_effects_where_it_then_looks_less_foreign(
     two: _Case, one: _Case, monkeypatch: pytest.MonkeyPatch, known: float, with_more: float,
     wider: bool,

@@ -88,6 +88,12 @@ class _Case:
         return shipped_reliability().of(self.traits)
 
     @property
+    def refused_from(self) -> float:
+        """Probability of an effect outside the catalogue from which the explanation is refused."""
+        several = len(self.search.best.fit.ids) > 1
+        return self.config.unknown_several if several else self.config.unknown
+
+    @property
     def share(self) -> float:
         """Share of the gap that is explained; what chance may leave does not count as left."""
         left = max(self.search.left - self.chance, 0.0)
@@ -200,7 +206,7 @@ def _judged(case: _Case, further: SearchResult) -> _Case:
         return case
     gains = linear_gains(case.problem, further.best.fit).by_key()
     wider = replace(case, search=replace(further, last_gain=gains))
-    most = min(case.config.unknown, case.reliability["unknown"])
+    most = min(wider.refused_from, case.reliability["unknown"])
     return wider if wider.reliability["unknown"] < most else case
 
 
@@ -308,7 +314,7 @@ def _explained(case: _Case) -> _Finding:
             "traits": case.traits,
         },
     )  # fmt: skip
-    if reliability["unknown"] > (config.unknown_several if len(fit.ids) > 1 else config.unknown):
+    if reliability["unknown"] > case.refused_from:
         return finding
     drift = remaining_drift(problem, fit)
     if drift is not None:

@@ -112,8 +112,8 @@ def contrasts_of(problem: FitProblem, fit: FitResult | None = None) -> tuple[Con
 
     A contrast is the difference of two means within a trial (or between trials), averaged over
     the replicates of a slot; slots are the independent units. With `fit` the residual is what that
-    state leaves. `alarm` controls the family-wise rate over the whole table. It needs two things:
-    that slots agree (1 %, whatever the noise is), and that the contrast is larger than the noise
+    state leaves. `alarm` controls the family-wise rate. It needs two things: that slots agree (1 %
+    over the whole table, whatever the noise is), and that the contrast is larger than the noise
     makes the largest of the table (5 %, by simulated data sets without a gap). A few slots may
     agree by chance on a difference far below the noise, and one gain acts on all slots. A drift
     over the trials needs the first alone, as replicates far apart in time take it for noise, and
