@@ -127,8 +127,13 @@ def learn_noise(model: Model, c: PlantConstants, residual: Array) -> Noise:
     noise.freedom = sum(len(members) - 1 for members in data.slots.values())
     if pairs:
         start = noise.white.copy()
+        usual_z, usual_trend = _trend(model, c, noise, pairs)
         _learn(noise, pairs, prior, classes, not data.settled)
         z, trend = _trend(model, c, noise, pairs)
+        if _left(pairs, usual_trend) < _MUCH_LESS * min(_left(pairs, trend), _left(pairs)):
+            # Gains that have taken a large change for noise let pass hardly anything of it: the
+            # noise as it usually is shows it. Whether it is one, the noise without it tells.
+            z, trend = min(usual_z, ESTIMATION.trend_sd), usual_trend
         if z > ESTIMATION.trend_requested:
             # Replicates far apart share no slow change: what they differ by through it is not
             # noise, or wear would raise the very floor it has to rise above.
@@ -338,6 +343,20 @@ def _trend(
         if z > best[0]:
             best = (z, columns[:, j] * across / self_product)
     return best
+
+
+_MUCH_LESS = 0.5
+"""Share of what replicates differ by that is left without a large change over the trials. A matter
+of definition."""
+
+
+def _left(pairs: list[_Pair], trend: Array | None = None) -> float:
+    """Squares of what replicates differ by, in units of white noise, with a trend taken out."""
+    total = 0.0
+    for pair in pairs:
+        slow = 0.0 if trend is None else trend[pair.rows[0]] - trend[pair.rows[1]]
+        total += float(np.sum((pair.d - slow) ** 2 / pair.white))
+    return total
 
 
 def _height(noise: Noise, pairs: list[_Pair], trend: Array) -> float:
