@@ -71,11 +71,13 @@ def write_set(
     late_s: float = 0.0,
     opens_late_s: Sequence[float] = (),
     rate_hz: float = 500.0,
+    weighed: bool = False,
 ) -> Path:
     """Write a data set in the dataset format with `effects` of the plant switched on.
 
     Each replicate's commands come `late_s` later than those of the one before it; the outlet opens
     `opens_late_s` later at its first stroke of each trial, at its second, ..., than its command.
+    With `weighed` a force cell reads the muscle's pull where a load hangs on it as well.
     """
     rng = np.random.default_rng(seed)
     constants = _drawn(rng)
@@ -103,7 +105,7 @@ def write_set(
                 "temperature_c": 21.0,
             }
         )  # fmt: skip
-        samples.append(_read(rng, name, truth, inputs, source, bool(mass)))
+        samples.append(_read(rng, name, truth, inputs, source, bool(mass), weighed))
     pd.DataFrame(trials).to_csv(folder / "trials.csv", index=False)
     pd.concat(samples).to_parquet(folder / "samples.parquet", index=False)
     if overrides:
@@ -147,8 +149,9 @@ def _slow(rng: np.random.Generator, time_s: Array, sd: float, tau_s: float) -> A
 
 
 def _read(
-    rng: np.random.Generator, name: str, truth: Any, inputs: Commands, source: str, hung: bool
-) -> pd.DataFrame:
+    rng: np.random.Generator, name: str, truth: Any, inputs: Commands, source: str, hung: bool,
+    weighed: bool,
+) -> pd.DataFrame:  # fmt: skip
     t = truth.time_s
     p = truth.pressure_kpa * (1 + 0.003 * rng.standard_normal()) + 0.3 * rng.standard_normal()
     p = np.round((p + 0.5 * rng.standard_normal(len(t))) / 0.244) * 0.244
@@ -159,7 +162,7 @@ def _read(
         value = value * (1 + 0.0005 * rng.standard_normal()) + 0.02 * rng.standard_normal()
         value = value + 0.01 * rng.standard_normal(len(tc))
         parts.append(pd.DataFrame({"time_s": tc, "length_mm": value}))
-    else:
+    if not hung or weighed:
         tf = np.arange(0.005, t[-1], 0.0125)
         value = np.interp(tf, t, truth.force_n) * (1 + 0.003 * rng.standard_normal())
         value += 0.2 * rng.standard_normal() + 0.05 * rng.standard_normal(len(tf))

@@ -21,6 +21,7 @@ from gap.model.empirical import (
     inputs_of,
     point_inputs_of,
     risen,
+    short_pulses,
     shown_too_much,
     valve_flows,
 )
@@ -32,7 +33,18 @@ from gap.validation.empirical import empirical_term
 from gap.verdict import Status, Verdict
 from gap_bench import write_set
 from plant.constants import PlantConstants, nominal
-from plant.effects.empirical import EDGES_LATE, INLET_FLOW, LATE, OUTLET_FLOW, READING
+from plant.effects.empirical import (
+    CELL,
+    EDGES_LATE,
+    INLET_FLOW,
+    LATE,
+    OUTLET_FLOW,
+    READING,
+    SHORT_PULSES,
+    Correction,
+    Corrections,
+    SplineTerm,
+)
 
 Array = npt.NDArray[np.float64]
 NOISE_KPA = 0.4
@@ -243,6 +255,65 @@ def test_nothing_passes_a_valve_that_is_commanded_shut_before_it_has_opened(
     c, grid = valve_problem.data.constants, valve_problem.grid
     assert valve_flows(grid, c)[INLET_FLOW].max() > 0.0
     assert not np.any(valve_flows(grid, replace(c, inlet_on_s=10.0))[INLET_FLOW])
+
+
+def test_short_commands_that_pass_are_those_of_a_valve_whose_edges_all_act(
+    valve_problem: FitProblem,
+) -> None:
+    """Bursts of 12 ms at an inlet that takes 2 ms longer to open than that of the bench."""
+    c = valve_problem.data.constants
+    grid = valve_problem.grid
+    slow = replace(c, inlet_on_s=c.inlet_on_s + 2e-3)
+    assert not short_pulses(grid, c).any()
+    passing = short_pulses(grid, slow)
+    assert passing.max() > 100.0
+    whole = Flow({SHORT_PULSES: np.ones(len(passing))})
+    active = valve_problem.base.active
+    shown = valve_problem.model.pressure_with_flow(whole, slow, active)
+    all_act = [*active, ("transport_delay", "", 1.0, {})]
+    expected = valve_problem.model.residual(slow, all_act, ("pressure",))["pressure"]
+    does = np.abs(residual_of(valve_problem, slow) - expected).mean()
+    assert does > 20.0
+    assert np.abs(shown - expected).mean() < 0.2 * does
+    raised = risen(grid, passing[:, None], slow)[:, 0]
+    assert np.abs(residual_of(valve_problem, slow) - raised - expected).mean() < 0.2 * does
+
+
+def test_what_a_force_cell_shows_too_much_is_missing_in_the_load_that_it_weighs(
+    tmp_path: Path,
+) -> None:
+    data = read_dataset(write_set(tmp_path / "data", {}, weighed=True))
+    plain = FitProblem.of(data)
+    shown = Correction("force", (SplineTerm((), (), (2.0,), CELL),))
+    stated = FitProblem.of(replace(data, corrections=Corrections({"force": shown})))
+    c = data.constants
+    blocks = ("force", "load")
+    with_term = stated.model.residual(c, plain.base.active, blocks)
+    zero = [*plain.base.active, ("force_zero", "", 2.0, {})]
+    with_zero = plain.model.residual(c, zero, blocks)
+    without = plain.model.residual(c, plain.base.active, blocks)
+    for block, added in (("force", -2.0), ("load", 2.0)):
+        assert with_term[block] - without[block] == pytest.approx(added)
+        assert with_term[block] == pytest.approx(with_zero[block])
+
+
+def test_an_error_of_a_force_cell_is_told_from_one_of_the_muscle_by_the_load(
+    tmp_path: Path,
+) -> None:
+    """3 N too much at the end of each test, in the force and in what weighs the load."""
+    folder = write_set(tmp_path / "data", {}, weighed=True)
+    samples = pd.read_parquet(folder / "samples.parquet")
+    samples["force_n"] += 3.0 * np.minimum(samples["time_s"] / 20.0, 1.0)
+    samples.to_parquet(folder / "samples.parquet", index=False)
+    problem = FitProblem.of(read_dataset(folder))
+    term = empirical_term(problem, problem.base, block="force")
+    assert term is not None
+    assert [t.scale for t in term.correction.terms] == [CELL]
+    assert term.correction.inputs == ("time_s",)
+    assert term.closed > 0.8
+    assert list(term.shares) == ["history"]
+    told = Verdict(Status.UNKNOWN, Reason(Cause.NO_GAP), "sensor", (), 0.1, 0.9, empirical=term)
+    assert "error of the force cell's reading" in " ".join(empirical_lines(told))
 
 
 def test_a_valve_s_share_of_the_time_is_that_between_its_turns() -> None:

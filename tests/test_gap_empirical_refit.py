@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -17,7 +18,7 @@ from gap.estimation.fit_problem import FitProblem
 from gap.model.features import BLOCKS
 from gap.validation.config import VALIDATION
 from gap.validation.empirical import _Found, _simplest, blocks_with_gap, empirical_term
-from gap.validation.terms.pieces import NO_FLOWS, Piece
+from gap.validation.terms.pieces import NO_FLOWS, Piece, pieces_of
 from gap.validation.terms.refit import within_walls
 from gap.validation.terms.search import TermSearch, refitted, search_of
 from gap_bench import write_set
@@ -141,6 +142,7 @@ def told(table: dict[str, list[float]], gap: float) -> tuple[Told, dict[str, Pie
         nothing,
         tuple(pieces.values()),
         np.zeros((1, 2)),
+        np.zeros((1, 2)),
         NO_FLOWS,
         cast(Any, SimpleNamespace(slots=(0, 1, 2))),
         nothing,
@@ -188,6 +190,24 @@ def test_of_pieces_that_do_as_well_the_one_with_few_knots_enters() -> None:
     assert found[0] is few
 
 
+def test_of_pieces_that_do_as_well_the_rate_of_the_pressure_is_the_last() -> None:
+    """A leak makes the pressure fall; how fast it falls describes the leak as well."""
+    knots = ((0.0, 1.0),)
+    rate, pressure = (
+        Piece((name,), knots, scale, np.array([k]), np.zeros((1, 1)))
+        for k, (name, scale) in enumerate(
+            (("pressure_rate_kpa_s", "rate"), ("pressure_kpa", "pressure"))
+        )
+    )
+    search, _ = told(
+        {"": [100.0, 90.0, 95.0], "rate": [3.0, 3.0, 3.0], "pressure": [4.0, 3.0, 3.0]}, 250.0
+    )
+    search.pieces = (rate, pressure)
+    found = search._next([], search.errors([]), frozenset())
+    assert found is not None
+    assert found[0] is pressure
+
+
 def test_a_piece_that_closes_most_of_a_gap_enters_though_one_slot_holds_it() -> None:
     """Four slots of equal floors: no count of standard errors shows what happens in one of them."""
     search, pieces = told(
@@ -206,6 +226,50 @@ def test_the_last_of_many_pieces_enters_where_it_alone_closes_the_gap() -> None:
     found = search._next([], search.errors([]), frozenset())
     assert found is not None
     assert found[0] is pieces[names[-1]]
+
+
+@dataclass
+class OfFit:
+    """Errors of fits written down, by the number of the only column."""
+
+    left: Sequence[float]
+    slots: tuple[int, ...] = (0, 1, 2)
+
+    def error_of_fit(self, slot: int, chosen: npt.NDArray[np.int64], left: object) -> float:
+        return self.left[int(chosen[0])] if len(chosen) else 300.0
+
+
+def test_what_one_slot_holds_is_told_by_the_fit_to_it_with_the_fewest_columns() -> None:
+    """Whether it foretells the slot that is left out is not asked here."""
+    search, _ = told({"": [100.0]}, 300.0)
+    one, many, poor = (
+        Piece((), (), scale, np.full(width, k), np.zeros((width, width)))
+        for k, (scale, width) in enumerate((("one", 1), ("many", 3), ("poor", 1)))
+    )
+    search.pieces = (many, poor, one)
+    search.gaps = np.array([290.0, 2.0, 5000.0])
+    search.terms = cast(Any, OfFit([12.0, 3.0, 150.0]))
+    search.recalibrated = search.terms
+    assert search._of_one_slot(frozenset({2})) == [one]
+    # With slot 0 left out, no slot holds nearly all of it.
+    search.gaps = np.array([290.0, 200.0, 300.0])
+    assert search._of_one_slot(frozenset({0})) == []
+
+
+def test_where_no_row_is_a_term_goes_back_to_none() -> None:
+    """A drift of 40 s said nothing of a test of 180 s, and was drawn on as a line for the rest."""
+    time = np.r_[np.linspace(0.0, 40.0, 200), np.linspace(41.0, 180.0, 200)]
+    pieces, columns = pieces_of({"time_s": time}, len(time))
+    piece = max(pieces, key=lambda one: len(one.at))
+    assert piece.inputs == ("time_s",)
+    own, early = columns[:, piece.at], time < 41.0
+    seen = np.sin(time[early] / 20.0)
+    penalty = np.eye(len(piece.at)) / VALIDATION.term_sd**2 + piece.rough / VALIDATION.term_bend**2
+    inner = own[early].T @ own[early] * 10.0 + penalty
+    value = own @ np.linalg.solve(inner, own[early].T @ seen * 10.0)
+    assert value[early] == pytest.approx(seen, abs=0.05)
+    assert np.abs(value[~early]).max() < 1.6
+    assert np.abs(value[time > 150.0]).max() < 0.3
 
 
 def test_what_a_piece_must_close_is_a_share_of_the_gap_that_is_seen() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -17,6 +17,7 @@ from plant.compiled import entry_point, fingerprint
 from plant.constants import REFERENCE_DENSITY_KG_M3, PlantConstants
 from plant.effects.arguments import Points
 from plant.effects.empirical import (
+    CELL,
     EDGES_LATE,
     FLOW,
     FORGOTTEN_S,
@@ -25,6 +26,7 @@ from plant.effects.empirical import (
     LATE,
     OUTLET_FLOW,
     READING,
+    SHORT_PULSES,
     VALVE_FLOW,
     Correction,
     braid_scales,
@@ -51,6 +53,26 @@ def correction_at(grid: Grid, correction: Correction, c: PlantConstants) -> Arra
     if plain.scales:
         at |= scales_of(grid, block, c)
     return plain.value(at, int(grid.points[block].row.max(initial=-1)) + 1)
+
+
+def in_load(grid: Grid, force: Correction, c: PlantConstants) -> Array:
+    """What an error of the force cell adds to every row of the load that it weighs, N.
+
+    The pull that a load asks for is compared with what the cell read: what this shows too much is
+    missing there.
+
+    Args:
+        force: correction of the force, of which the terms with the scale "cell" count.
+    """
+    shown = tuple(replace(t, scale="") for t in force.terms if t.scale == CELL)
+    made = correction_at(grid, Correction("load", shown), c)
+    return np.asarray(-made * weighed(grid))
+
+
+def weighed(grid: Grid) -> Array:
+    """Share of the points of every row of the load at which a force cell read it."""
+    points = grid.points["load"]
+    return _means(points, np.isfinite(points.reading).astype(np.float64))
 
 
 def flow_at(grid: Grid, correction: Correction, c: PlantConstants) -> Flow | None:
@@ -97,7 +119,10 @@ class Flow:
         late = [1e-3 * (own[scale] + own[EDGES_LATE]) for scale in LATE]
         valves = np.stack([own[INLET_FLOW] + whole, own[OUTLET_FLOW] + whole, *late])
         per = pressure_per_flow(np.clip(points.length, 1e-4, 0.999 * c.braid_length_m), c)
-        rate = 1e3 * own[FLOW] * per
+        flow = own[FLOW]
+        if SHORT_PULSES in self.of:  # the simulated valve stays shut
+            flow = flow + own[SHORT_PULSES] * short_pulses(grid, c)
+        rate = 1e3 * flow * per
         # Where a trial begins nothing is known of the time before.
         step = np.r_[0.0, np.diff(points.time_s)]
         step[points.first[:-1][points.first[:-1] < len(step)]] = 0.0
@@ -201,7 +226,8 @@ def valve_flows(grid: Grid, c: PlantConstants) -> dict[str, Array]:
 
     ISO 6358 with the constants' conductances; out of the chamber a flow is negative. The flow of a
     valve is what passes while it is open by the constants' delays; that of `LATE` is what passes
-    more if it moves 1 ms later, that of `EDGES_LATE` if all commands act 1 ms later.
+    more if it moves 1 ms later, that of `EDGES_LATE` if all commands act 1 ms later; for
+    `SHORT_PULSES` see `short_pulses`.
     """
     through = _through(grid, c, 0.0)
     share = _open_shares(grid, c)
@@ -216,19 +242,31 @@ def valve_flows(grid: Grid, c: PlantConstants) -> dict[str, Array]:
         later = _open_shares(grid, c, which, _LATER_S)[valve] - share[valve]
         made[scale] = np.asarray(later * through[valve] * 1e-3 / _LATER_S)
     made[EDGES_LATE] = np.sum([made[scale] for scale in LATE], axis=0)
+    made[SHORT_PULSES] = short_pulses(grid, c)
     return made
+
+
+def short_pulses(grid: Grid, c: PlantConstants) -> Array:
+    """Flow in mg/s of the commands too short for their valve to move, at every point.
+
+    What would pass if all edges acted, each after its delay, beyond what passes; 0 where they do.
+    """
+    more = _open_shares(grid, c, all_act=True) - _open_shares(grid, c)
+    return np.asarray(np.sum(more * _through(grid, c, 0.0), axis=0))
 
 
 _LATER_S = 1e-3
 """Time by which a valve is moved where a slope is taken."""
 
 
-def _open_shares(grid: Grid, c: PlantConstants, late: int = -1, late_s: float = 0.0) -> Array:
+def _open_shares(
+    grid: Grid, c: PlantConstants, late: int = -1, late_s: float = 0.0, all_act: bool = False
+) -> Array:
     """Opening of inlet and outlet in the mean over the time around each point, shape (2, points).
 
     A valve acts after its delay; a command that has not acted yet when the next one comes is
-    forgotten, unless the constants say that all edges act. `late` is the number of the delay that
-    is longer by `late_s`.
+    forgotten, unless the constants or `all_act` say that all edges act. `late` is the number of the
+    delay that is longer by `late_s`.
     """
     points = grid.points["pressure"]
     slots = nominal_slots(c)
@@ -255,7 +293,7 @@ def _open_shares(grid: Grid, c: PlantConstants, late: int = -1, late_s: float = 
                 pressure = float(np.interp(at, time, upstream))
                 delay = slots[DELAY + which] + slots[DELAY_SLOPE + which] * pressure
                 acts = float(at) + max(delay, 0.0)
-                if slots[DELAY_MODE] == 0.0 and turns and turns[-1][0] > at:
+                if slots[DELAY_MODE] == 0.0 and not all_act and turns and turns[-1][0] > at:
                     turns.pop()
                 else:
                     turns.append((max(acts, turns[-1][0] if turns else acts), opening(to, band)))

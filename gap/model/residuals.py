@@ -13,7 +13,7 @@ import numpy as np
 from gap.effects.terms import Active, acting_in, terms
 from gap.model import force as laws
 from gap.model import pressure as chamber
-from gap.model.empirical import Flow, correction_at, flow_at
+from gap.model.empirical import Flow, correction_at, flow_at, in_load
 from gap.model.features import BLOCKS
 from gap.model.grid import Grid, full_values, room_temperature, trial_order
 from gap.model.nominal import NominalPlant
@@ -22,6 +22,7 @@ from plant.arrays import Array
 from plant.constants import KEYS, STANDARD_GRAVITY_M_S2, PlantConstants
 from plant.effects import pressure_stage
 from plant.effects.arguments import Context, Points
+from plant.effects.empirical import Correction
 
 SCALE = {"pressure": 1e-3, "force": 1.0, "load": 1.0, "camera": 1e3}
 _KEPT_BYTES = 64 << 20
@@ -105,15 +106,18 @@ class Model:
 
     def _corrected(self, block: str) -> Array | float:
         """What the data set's empirical term adds to the prediction of a block, one value a row."""
-        correction = self.grid.data.corrections.of.get(block)
-        if correction is None:
+        stated = self.grid.data.corrections.of
+        if block not in stated and not (block == "load" and "force" in stated):
             return 0.0
         if block not in self._corrections:
             c = self.grid.data.constants
+            correction = stated.get(block, Correction(block, ()))
             made = correction_at(self.grid, correction, c)
             flow = flow_at(self.grid, correction, c) if self.covers(block) else None
             if flow is not None:  # no chamber of ours to put it into
                 made = made + flow.raised(self.grid, c)
+            if block == "load" and "force" in stated:
+                made = made + in_load(self.grid, stated["force"], c)
             self._corrections[block] = made
         return self._corrections[block]
 

@@ -38,7 +38,9 @@ _SCALED = {
     "outlet_on_ms": "outlet opens late, ms",
     "outlet_off_ms": "outlet shuts late, ms",
     "edges_ms": "all commands act late, ms",
+    "short_pulses": "share of short commands that passes",
     "reading": "gauge shows too much, kPa",
+    "cell": "force cell shows too much, N",
 }
 _KINDS = {
     "": "an addition",
@@ -54,7 +56,9 @@ _KINDS = {
     "outlet_on_ms": "an outlet that opens late or early",
     "outlet_off_ms": "an outlet that shuts late or early",
     "edges_ms": "valves that all act late or early",
+    "short_pulses": "commands that pass although they are too short for their valve",
     "reading": "an error of the gauge's reading",
+    "cell": "an error of the force cell's reading",
 }
 
 

@@ -20,7 +20,7 @@ from gap.validation.config import ValidationConfig
 from gap.validation.terms.held_out_terms import HeldOutTerms, Whole, gain_and_errors
 from gap.verdict import Expression
 from plant.arrays import Array
-from plant.effects.empirical import IN_GAS, Correction
+from plant.effects.empirical import CELL, IN_GAS, Correction
 
 _DECAYS_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 _DECAYS_KPA = (30.0, 100.0, 300.0)
@@ -52,7 +52,8 @@ def compact_expression(
 ) -> Expression | None:  # fmt: skip
     """A formula in the inputs of a correction; None where none does nearly as well.
 
-    None for a flow, too: what is read is its sum over time.
+    None for a flow, too: what is read is its sum over time; and for an error of the force cell,
+    which shows in a load as well.
 
     Args:
         splines: squared errors of the correction on held-out slots, shape (slots,).
@@ -60,7 +61,7 @@ def compact_expression(
     """
     block = correction.block
     at = inputs_of(problem.grid, block, correction.inputs)
-    if not at or any(term.scale in IN_GAS for term in correction.terms):
+    if not at or any(term.scale in (*IN_GAS, CELL) for term in correction.terms):
         return None
     scales = scales_of(problem.grid, block, problem.constants(fit.shift))
     scales[""] = np.ones(len(next(iter(at.values()))))

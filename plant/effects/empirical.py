@@ -18,9 +18,12 @@ error of the pressure in kPa or of the length in mm. With the scale "flow" its s
 in mg/s into the chamber, whose pressure it raises, with "valve_flow" a share of the flow of the
 valve that is open, with "inlet_flow" or "outlet_flow" of that one alone; with "inlet_on_ms",
 "inlet_off_ms", "outlet_on_ms" or "outlet_off_ms" the time in ms by which that valve opens or shuts
-later than its delay says, with "edges_ms" that by which both valves do both. What a flow raised is
-forgotten with `FORGOTTEN_S`. With the scale "reading" its splines are what the gauge shows too
-much, in kPa: the gas itself is below the reading by as much. It says nothing of another bench.
+later than its delay says, with "edges_ms" that by which both valves do both; with "short_pulses"
+the share that passes of commands too short for their valve to move by its delays. What a flow
+raised is forgotten with `FORGOTTEN_S`. With the scale "reading" its splines are what the gauge
+shows too much, in kPa: the gas itself is below the reading by as much. With "cell" those of a force
+are what its cell shows too much, in N: a load that hangs on it is below its reading by as much. It
+says nothing of another bench.
 """
 
 from __future__ import annotations
@@ -58,6 +61,8 @@ INPUTS = {
     "pull_change_100s_n": "history",
 }
 """Inputs of a correction, and what a person calls each."""
+CELL = "cell"
+"""Scale of a term of the force whose splines are what the force cell shows too much, N."""
 SCALES = ("pull", "pull_per_kpa", "pull_per_mm")
 """What the splines of a force can be multiplied by, all of the braid at a pressure and a length."""
 FLOW = "flow"
@@ -72,7 +77,9 @@ LATE = ("inlet_on_ms", "inlet_off_ms", "outlet_on_ms", "outlet_off_ms")
 """Scales of a term of the pressure whose splines are ms by which a valve opens or shuts late."""
 EDGES_LATE = "edges_ms"
 """Scale of a term whose splines are ms by which all commands act late."""
-FLOWS = (FLOW, VALVE_FLOW, INLET_FLOW, OUTLET_FLOW, *LATE, EDGES_LATE)
+SHORT_PULSES = "short_pulses"
+"""Scale of a term of the pressure whose splines are the share that passes of short commands."""
+FLOWS = (FLOW, VALVE_FLOW, INLET_FLOW, OUTLET_FLOW, *LATE, EDGES_LATE, SHORT_PULSES)
 """Scales of terms whose flow the simulated gas takes in."""
 READING = "reading"
 """Scale of a term of the pressure whose splines are what the gauge shows too much, kPa."""
@@ -83,10 +90,10 @@ SCALE_INPUTS: Mapping[str, tuple[str, ...]] = {
     "pull": ("pressure_kpa", "length_mm"),
     "pull_per_kpa": ("length_mm",),
     "pull_per_mm": ("pressure_kpa", "length_mm"),
-    **dict.fromkeys(IN_GAS, ()),
+    **dict.fromkeys((*IN_GAS, CELL), ()),
 }
 """Inputs that a scale is itself made of; that of a flow is what the valves did before."""
-_SCALES_OF = {"force": SCALES, "load": SCALES, "pressure": IN_GAS, "camera": ()}
+_SCALES_OF = {"force": (*SCALES, CELL), "load": SCALES, "pressure": IN_GAS, "camera": ()}
 FORGOTTEN_S = 5.0
 """Time constant with which the diagnosis draws a predicted pressure to the reading."""
 STATIC = ("pressure_kpa", "length_mm")
@@ -100,7 +107,8 @@ class SplineTerm:
     Attributes:
         knots: ascending, one tuple an input, in its unit.
         coefficients: one a product of splines, the last input running fastest.
-        scale: one of `SCALES` that the splines are multiplied by, one of `IN_GAS`, or "" for none.
+        scale: one of `SCALES` that the splines are multiplied by, one of `IN_GAS`, `CELL`, or ""
+            for none.
     """
 
     inputs: tuple[str, ...]
@@ -111,7 +119,7 @@ class SplineTerm:
     def value(self, at: Mapping[str, Array], count: int) -> Array:
         """Value at `count` instants, shape (count,)."""
         made = self.splines(at, count)
-        return np.asarray(made * at[self.scale] if self.scale else made)
+        return np.asarray(made * at[self.scale] if self.scale not in ("", CELL) else made)
 
     def splines(self, at: Mapping[str, Array], count: int) -> Array:
         """Value before it is multiplied by the scale, shape (count,)."""

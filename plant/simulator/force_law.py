@@ -11,7 +11,7 @@ from measured pressure and length, and to check the kernel against.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ import numpy.typing as npt
 from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
-from plant.effects.empirical import STATIC, UNCORRECTED, Corrections, braid_scales
+from plant.effects.empirical import CELL, STATIC, UNCORRECTED, Corrections, braid_scales
 from plant.effects.reference import TEMPERATURE_C as REFERENCE_TEMPERATURE_C
 from plant.errors import PlantError
 from plant.physics import layout, muscle
@@ -66,6 +66,9 @@ class ForceLaw:
         correction = self.corrections.of.get("force")
         if correction is None:
             return 0.0
+        # What a force cell shows too much is no force of the muscle.
+        pulls = tuple(term for term in correction.terms if term.scale != CELL)
+        correction = replace(correction, terms=pulls)
         for name in correction.inputs:
             if name not in STATIC:
                 raise PlantError(

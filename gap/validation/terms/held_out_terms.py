@@ -64,14 +64,15 @@ class HeldOutTerms:
     @classmethod
     def of(
         cls, problem: FitProblem, fit: FitResult, block: str, columns: Array, penalty: Array,
-        within: float | None = None,
+        within: float | None = None, beside: Array | None = None,
     ) -> HeldOutTerms:  # fmt: skip
         """Gather the inner products; `columns` has one row a row of the block.
 
         Args:
             within: sd that no constant moves beyond, whatever is left out.
+            beside: what the columns do to other blocks, one row a feature of the problem.
         """
-        whole = np.zeros((len(problem.rows), columns.shape[1]))
+        whole = np.zeros((len(problem.rows), columns.shape[1])) if beside is None else beside.copy()
         whole[problem.rows.block == BLOCKS.index(block)] = columns
         known = problem.columns_of(fit)
         evidence = gather(
@@ -105,7 +106,10 @@ class HeldOutTerms:
 
     def error(self, slot: int, chosen: Whole, without: frozenset[int] = frozenset()) -> float:
         """Squared error on a slot of the fit to all slots but that one and those `without`."""
-        left = without | {slot}
+        return self.error_of_fit(slot, chosen, without | {slot})
+
+    def error_of_fit(self, slot: int, chosen: Whole, left: frozenset[int]) -> float:
+        """Squared error on any slot of the fit to all slots but those that are `left` out."""
         beta = self.coefficients(chosen, left)
         n = self.constants
         taken = self._at(left).taken

@@ -16,7 +16,7 @@ import numpy as np
 from gap.estimation.config import ESTIMATION
 from gap.estimation.cross_validation import floor_squares
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.model.empirical import inputs_of, scales_of
+from gap.model.empirical import inputs_of, scales_of, weighed
 from gap.model.features import BLOCKS
 from gap.validation.config import ValidationConfig
 from gap.validation.terms.held_out_terms import HeldOutTerms, Whole, gain_and_errors, joined
@@ -27,14 +27,16 @@ from gap.validation.terms.pieces import (
     FlowColumns,
     Piece,
     groups_of,
+    in_load,
     pieces_of,
     raised,
     with_flows,
 )
 from gap.validation.terms.refit import FittedTerm, TermColumns, fitted_with_term
 from plant.arrays import Array
-from plant.effects.empirical import IN_GAS, INPUTS, SCALE_INPUTS
+from plant.effects.empirical import CELL, IN_GAS, INPUTS, SCALE_INPUTS
 
+_RATE = "pressure_rate_kpa_s"
 HALF = 0.5
 """Share of a gap from which it counts as closed."""
 
@@ -46,6 +48,7 @@ class TermSearch:
     Attributes:
         fit: where the plant is made linear; with the term of a refit, where there was one.
         basis: columns of all pieces at every row of the block; those of flows stand last.
+        beside: the same at every row of the problem, for what they do to other blocks.
         flows: the same before they are summed up to a pressure.
         recalibrated: sums at the plant that was recalibrated without a term: what is closed is
             closed of its errors.
@@ -57,6 +60,7 @@ class TermSearch:
     fit: FitResult
     pieces: tuple[Piece, ...]
     basis: Array
+    beside: Array
     flows: FlowColumns
     terms: HeldOutTerms
     recalibrated: HeldOutTerms
@@ -101,7 +105,31 @@ class TermSearch:
             chosen = [one for one in chosen if not piece.holds(one)]
             chosen.append(piece)
             errors = self.errors(chosen, without)
+        if without and float(errors.sum()) - self.floor(without) > HALF * self.gap(without):
+            return self._of_one_slot(without) or self._needed(chosen, without)
         return self._needed(chosen, without)
+
+    def _of_one_slot(self, without: frozenset[int]) -> list[Piece]:
+        """The piece with the fewest columns that takes nearly all of a gap that one slot holds.
+
+        No other slot can foretell that one, so it is told by the fit to it: whether the piece
+        foretells a slot that had no part in it is then asked of those that are `without`.
+        """
+        kept = {s: g for s, g in zip(self.terms.slots, self.gaps, strict=True) if s not in without}
+        slot = max(kept, key=lambda s: kept[s])
+        if kept[slot] < self.config.foretold_share * self.gap(without):
+            return []
+        floor = float(self.floors[self.terms.slots.index(slot)])
+        gap = self.recalibrated.error_of_fit(slot, self.columns([]), without) - floor
+        if gap < floor:
+            return []
+        left = {
+            k: self.terms.error_of_fit(slot, piece.at, without) - floor
+            for k, piece in enumerate(self.pieces)
+        }
+        enough = [k for k, e in left.items() if e < (1.0 - self.config.foretold_share) * gap]
+        best = min(enough, key=lambda k: (len(self.pieces[k].at), left[k]), default=None)
+        return [] if best is None else [self.pieces[best]]
 
     def _next(
         self, chosen: list[Piece], errors: Array, without: frozenset[int]
@@ -137,6 +165,8 @@ class TermSearch:
             simple,
             key=lambda one: (
                 len({INPUTS[name] for name in one[0].inputs} - known),
+                # What drives the gas makes its pressure change as well.
+                _RATE in one[0].inputs,
                 one[0].fine,
                 float(one[1].sum()),
             ),
@@ -223,6 +253,8 @@ def search_of(
     if block != "pressure":
         if block in ("force", "load"):
             scales = scales_of(problem.grid, block, problem.constants(fit.shift))
+        if block == "force" and "load" in problem.grid.points and weighed(problem.grid).any():
+            scales[CELL] = np.ones(count)
         pieces, columns = pieces_of(inputs_of(problem.grid, block, MUSCLE_INPUTS) | scales, count)
     else:
         if first is None:
@@ -234,6 +266,7 @@ def search_of(
         columns = np.hstack([columns, raised(problem, fit, flows)])
     if not pieces:
         return None
+    beside = in_load(problem, pieces, columns.shape[1])
     size = max(float(np.sqrt(np.mean(fit.residual[here] ** 2))), 1e-9)
     stated = float(np.sqrt(np.mean(problem.stated_residual[here] ** 2)))
     penalty = np.zeros((columns.shape[1],) * 2)
@@ -250,11 +283,16 @@ def search_of(
     if known is not None:
         residual = known[1].left.copy()
         residual[here] += columns[:, known[0]] @ known[1].beta
-    terms = HeldOutTerms.of(problem, replace(fit, residual=residual), block, columns, penalty)
+        residual += beside[:, known[0]] @ known[1].beta
+    terms = HeldOutTerms.of(
+        problem, replace(fit, residual=residual), block, columns, penalty, beside=beside
+    )
     if len(terms.slots) < config.least_slots:
         return None
     if first is not None:
-        return replace(first, fit=fit, pieces=pieces, basis=columns, flows=flows, terms=terms)
+        return replace(
+            first, fit=fit, pieces=pieces, basis=columns, beside=beside, flows=flows, terms=terms
+        )
     plain = terms
     if walled is not None and walled is not fit:
         none = np.empty((count, 0))
@@ -263,7 +301,9 @@ def search_of(
         )
     base = plain.errors(np.empty(0, dtype=np.int64))
     floor = floor_squares(problem, problem.units)[block][list(terms.slots)]
-    made = TermSearch(block, fit, pieces, columns, flows, terms, plain, base - floor, floor, config)
+    made = TermSearch(
+        block, fit, pieces, columns, beside, flows, terms, plain, base - floor, floor, config
+    )
     return made if made.gaps.sum() > 0.0 else None
 
 
@@ -272,7 +312,7 @@ def refitted(
 ) -> tuple[Whole, FittedTerm]:
     """Constants fitted with some pieces, and the numbers of their columns."""
     own = np.sort(search.columns(chosen))
-    columns = np.zeros((len(problem.rows), len(own)))
+    columns = search.beside[:, own]
     columns[problem.rows.block == BLOCKS.index(search.block)] = search.basis[:, own]
     penalty = search.terms.penalty[np.ix_(own, own)]
     plain = search.basis.shape[1] - len(search.flows.scales)
