@@ -296,6 +296,9 @@ def test_inputs_are_right_where_needed_ones_are_there_and_no_strange_ones() -> N
     assert not inputs_right(("local_buckle",), {"pressure": 1.0})
     assert inputs_right(("pressure_zero",), {}, "pressure")  # there it is the same everywhere
     assert not inputs_right(("pressure_zero",), {}, "force")
+    # One that is set anew at each mounting changes with the order of the trials.
+    assert inputs_right(("force_zero",), {"order": 1.0}, "force", (2,))
+    assert not inputs_right(("force_zero",), {"order": 1.0}, "force", (0,))
 
 
 def test_every_effect_that_can_be_hidden_has_its_inputs_written_down() -> None:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from cli.main import main
 from gap.errors import GapError
+from gap.mapping.mapping import read_mapping
 from import_sets import imported, understood
 
 GOOD = """[source]
@@ -282,3 +283,9 @@ def test_any_file_is_read_or_refused_by_name(
     (tmp_path / "a.csv").write_bytes(content[: max(keep, 12)])
     told = outcome(tmp_path, FULL)
     assert told == "" or "a.csv" in told or "mapping.toml" in told
+
+
+def test_a_mapping_that_is_not_there_is_said_to_be_missing(tmp_path: Path) -> None:
+    """It was said that it "cannot be read as TOML"."""
+    with pytest.raises(GapError, match=r"none\.toml: cannot be read: No such file"):
+        read_mapping(tmp_path / "none.toml")

@@ -47,6 +47,7 @@ def scored(number: int) -> dict[str, Any]:
 def line_of(number: int, truth: Mapping[str, Any], verdict: Mapping[str, Any]) -> dict[str, Any]:
     """The judgement of one set from its answer and its verdict, as plain values."""
     ids = tuple(effect["id"] for effect in truth["effects"])
+    forms = tuple(effect.get("form") for effect in truth["effects"])
     term = verdict.get("empirical")
     left = left_of(verdict)
     shares = {one["input"]: one["share"] for one in term["inputs"]} if term else {}
@@ -63,7 +64,7 @@ def line_of(number: int, truth: Mapping[str, Any], verdict: Mapping[str, Any]) -
         "channel": term["channel"] if term else None,
         "closed": term["closed"] if term else None,
         "shares": shares,
-        "inputs_right": term is not None and inputs_right(ids, shares, term["channel"]),
+        "inputs_right": term is not None and inputs_right(ids, shares, term["channel"], forms),
     }
 
 

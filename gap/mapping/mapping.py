@@ -240,7 +240,9 @@ def read_mapping(path: Path) -> Mapping:
     try:
         text = tomlfile.read_text(path)
         table = tomlfile.loads(text)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except OSError as error:
+        raise GapError(str(path), f"cannot be read: {error.strerror}") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise GapError(str(path), f"cannot be read as TOML ({error})") from None
     root = Section(table, str(path))
     source = _required(root, "source")

@@ -7,7 +7,10 @@ fed the model too much pressure.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import cast
 
 import numpy as np
 
@@ -149,13 +152,10 @@ def _straightened(shown: Array, bends: list[_Bend], context: Context) -> Array:
     if not bends or not len(shown):
         return shown
     if len(shown) > 2 * _NODES and not np.isnan(shown).all():
-        # Many readings lie close together: between so many nodes a scale is straight, but where it
-        # stops changing.
         low, high = float(np.nanmin(shown)), float(np.nanmax(shown))
-        ends = _bent(BEYOND * np.array([context.full_pa, context.full_n]), bends, context)
-        within = ends[(ends > low) & (ends < high)]
-        nodes = np.sort(np.r_[np.linspace(low, high, _NODES), within])
-        return np.interp(shown, nodes, _straightened(nodes, bends, context))
+        numbers = tuple((b, t.amount, tuple(sorted(t.shape.items()))) for b, t in bends)
+        key = (low, high, context.full_pa, context.full_n, numbers)
+        return np.interp(shown, *_straight_nodes(_Scale(key, bends, context)))
     straight = shown
     step = _STRAIGHTENED_SHARE * max(float(np.nanmax(np.abs(shown), initial=0.0)), 1e-9)
     bent = _bent(straight, bends, context)
@@ -172,6 +172,33 @@ def _straightened(shown: Array, bends: list[_Bend], context: Context) -> Array:
         if float(np.nanmax(np.abs(nearer), initial=0.0)) < 0.01 * step:
             break
     return straight
+
+
+@dataclass(frozen=True)
+class _Scale:
+    """A scale that bends, between two readings.
+
+    Attributes:
+        key: all numbers that its bend depends on.
+    """
+
+    key: tuple[Hashable, ...]
+    bends: list[_Bend] = field(compare=False)
+    context: Context = field(compare=False)
+
+
+@lru_cache(maxsize=64)
+def _straight_nodes(scale: _Scale) -> tuple[Array, Array]:
+    """Readings of a scale that bends, and what a straight one would show, shape (nodes,) each.
+
+    Many readings lie close together: between so many nodes a scale is straight, but where it stops
+    changing. They are kept: no constant of the plant moves them.
+    """
+    low, high, full_pa, full_n, _ = cast(tuple[float, float, float, float, Hashable], scale.key)
+    ends = _bent(BEYOND * np.array([full_pa, full_n]), scale.bends, scale.context)
+    within = ends[(ends > low) & (ends < high)]
+    nodes = np.sort(np.r_[np.linspace(low, high, _NODES), within])
+    return nodes, _straightened(nodes, scale.bends, scale.context)
 
 
 def muscle_force(points: Points, active: Active, context: Context) -> Array:

@@ -235,7 +235,9 @@ def read_table_of(path: Path) -> dict[str, Any]:
         return tomlfile.loads(tomlfile.read_text(path))
     except FileNotFoundError:
         raise GapError(str(path), "no such file", "give the description of a simulator") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except OSError as error:
+        raise GapError(str(path), f"cannot be read: {error.strerror}") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise GapError(str(path), f"cannot be read as TOML ({error})") from None
 
 

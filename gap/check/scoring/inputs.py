@@ -77,18 +77,27 @@ TRUE_INPUTS: Mapping[str, Dependence] = {
     "coil_heating": _of(_FLOW, allowed="pressure|order|length"),
 }
 """By id of the effect; those outside the catalogue stand last."""
+FROM_TRIAL_TO_TRIAL = {
+    "pressure_zero": (1, 2, 3), "force_zero": (1, 2, 3), "length_label": (2,)
+}  # fmt: skip
+"""Forms of effects whose equation holds the number or the time of a trial, or its mounting: their
+gap depends on the order of the trials as well."""
 
 
 def inputs_right(
-    effects: tuple[str, ...], shares: Mapping[str, float], channel: str | None = None
-) -> bool:
+    effects: tuple[str, ...], shares: Mapping[str, float], channel: str | None = None,
+    forms: tuple[int | None, ...] = (),
+) -> bool:  # fmt: skip
     """Whether the inputs of a term are those of the hidden effects.
 
     Every needed input has a share of `SMALL` or more, and no input that has nothing to do with any
     of the effects has. An effect that is the same everywhere in the term's channel needs none.
+    `forms` are those in which the effects are hidden, where they are known.
     """
     found = {name for name, share in shares.items() if share >= SMALL}
     known = [TRUE_INPUTS[name] for name in effects]
     may = frozenset[str]().union(*(one.allowed.union(*one.needed) for one in known))
+    if any(f in FROM_TRIAL_TO_TRIAL.get(name, ()) for name, f in zip(effects, forms, strict=False)):
+        may |= {"order"}
     needed = [one for each in known if each.same_in != channel for one in each.needed]
     return found <= may and all(found & one for one in needed)
