@@ -72,8 +72,8 @@ class ValidationConfig:
     """Prior of a term's coefficients, in rms of the residual: they go back to none where no row is.
     Set on: practice sets 44321 and 44343; 1 does as well, at 5 a term went astray there."""
     term_bend: float = 0.5
-    """Prior of their second differences, in rms of the residual, and half that of their first ones:
-    it carries a term over settings that are left out."""
+    """Prior of their second differences, in rms of the residual; first ones have twice as much. It
+    carries a term over settings that are left out."""
 
 
 VALIDATION = ValidationConfig()
