@@ -242,7 +242,7 @@ def valve_flows(grid: Grid, c: PlantConstants) -> dict[str, Array]:
         later = _open_shares(grid, c, which, _LATER_S)[valve] - share[valve]
         made[scale] = np.asarray(later * through[valve] * 1e-3 / _LATER_S)
     made[EDGES_LATE] = np.sum([made[scale] for scale in LATE], axis=0)
-    made[SHORT_PULSES] = short_pulses(grid, c)
+    made[SHORT_PULSES] = _of_short_pulses(grid, c, share, through)
     return made
 
 
@@ -251,8 +251,13 @@ def short_pulses(grid: Grid, c: PlantConstants) -> Array:
 
     What would pass if all edges acted, each after its delay, beyond what passes; 0 where they do.
     """
-    more = _open_shares(grid, c, all_act=True) - _open_shares(grid, c)
-    return np.asarray(np.sum(more * _through(grid, c, 0.0), axis=0))
+    return _of_short_pulses(grid, c, _open_shares(grid, c), _through(grid, c, 0.0))
+
+
+def _of_short_pulses(grid: Grid, c: PlantConstants, share: Array, through: Array) -> Array:
+    """The same, from openings and flows of both valves that are known, shape (2, points) each."""
+    more = _open_shares(grid, c, all_act=True) - share
+    return np.asarray(np.sum(more * through, axis=0))
 
 
 _LATER_S = 1e-3

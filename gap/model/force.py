@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import cast
 
 import numpy as np
 
@@ -154,8 +153,8 @@ def _straightened(shown: Array, bends: list[_Bend], context: Context) -> Array:
     if len(shown) > 2 * _NODES and not np.isnan(shown).all():
         low, high = float(np.nanmin(shown)), float(np.nanmax(shown))
         numbers = tuple((b, t.amount, tuple(sorted(t.shape.items()))) for b, t in bends)
-        key = (low, high, context.full_pa, context.full_n, numbers)
-        return np.interp(shown, *_straight_nodes(_Scale(key, bends, context)))
+        scale = _Scale(low, high, context.full_pa, context.full_n, numbers, bends, context)
+        return np.interp(shown, *_straight_nodes(scale))
     straight = shown
     step = _STRAIGHTENED_SHARE * max(float(np.nanmax(np.abs(shown), initial=0.0)), 1e-9)
     bent = _bent(straight, bends, context)
@@ -179,10 +178,15 @@ class _Scale:
     """A scale that bends, between two readings.
 
     Attributes:
-        key: all numbers that its bend depends on.
+        full_pa, full_n: of the context; nothing else of it bends a scale.
+        numbers: the bends with their amounts and shapes, to compare scales by.
     """
 
-    key: tuple[Hashable, ...]
+    low: float
+    high: float
+    full_pa: float
+    full_n: float
+    numbers: tuple[Hashable, ...]
     bends: list[_Bend] = field(compare=False)
     context: Context = field(compare=False)
 
@@ -194,10 +198,10 @@ def _straight_nodes(scale: _Scale) -> tuple[Array, Array]:
     Many readings lie close together: between so many nodes a scale is straight, but where it stops
     changing. They are kept: no constant of the plant moves them.
     """
-    low, high, full_pa, full_n, _ = cast(tuple[float, float, float, float, Hashable], scale.key)
-    ends = _bent(BEYOND * np.array([full_pa, full_n]), scale.bends, scale.context)
-    within = ends[(ends > low) & (ends < high)]
-    nodes = np.sort(np.r_[np.linspace(low, high, _NODES), within])
+    full = BEYOND * np.array([scale.full_pa, scale.full_n])
+    ends = _bent(full, scale.bends, scale.context)
+    within = ends[(ends > scale.low) & (ends < scale.high)]
+    nodes = np.sort(np.r_[np.linspace(scale.low, scale.high, _NODES), within])
     return nodes, _straightened(nodes, scale.bends, scale.context)
 
 

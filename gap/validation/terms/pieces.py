@@ -190,7 +190,7 @@ def pieces_of(at: dict[str, Array], count: int) -> tuple[tuple[Piece, ...], Arra
     return tuple(made), np.hstack(columns) if columns else np.empty((count, 0))
 
 
-def in_load(problem: FitProblem, pieces: Iterable[Piece], width: int) -> Array:
+def columns_in_load(problem: FitProblem, pieces: Iterable[Piece], width: int) -> Array:
     """What pieces of a force that are errors of its cell add to the load that it weighs.
 
     Returns:

@@ -26,8 +26,8 @@ from gap.validation.terms.pieces import (
     NO_FLOWS,
     FlowColumns,
     Piece,
+    columns_in_load,
     groups_of,
-    in_load,
     pieces_of,
     raised,
     with_flows,
@@ -105,6 +105,7 @@ class TermSearch:
             chosen = [one for one in chosen if not piece.holds(one)]
             chosen.append(piece)
             errors = self.errors(chosen, without)
+        # Only a slot that is left out can judge what was fitted to one alone.
         if without and float(errors.sum()) - self.floor(without) > HALF * self.gap(without):
             return self._of_one_slot(without) or self._needed(chosen, without)
         return self._needed(chosen, without)
@@ -266,7 +267,7 @@ def search_of(
         columns = np.hstack([columns, raised(problem, fit, flows)])
     if not pieces:
         return None
-    beside = in_load(problem, pieces, columns.shape[1])
+    beside = columns_in_load(problem, pieces, columns.shape[1])
     size = max(float(np.sqrt(np.mean(fit.residual[here] ** 2))), 1e-9)
     stated = float(np.sqrt(np.mean(problem.stated_residual[here] ** 2)))
     penalty = np.zeros((columns.shape[1],) * 2)
