@@ -401,6 +401,7 @@ def _empirical(term: EmpiricalTerm | None, stage: str | None) -> dict[str, Any] 
                 "inputs": t.inputs,
                 "scale": t.scale or None,
                 "amount": None if t.inputs else t.coefficients[0],
+                "period": t.period or None,
             }
             for t in term.correction.terms
         ],

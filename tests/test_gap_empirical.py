@@ -228,6 +228,9 @@ coefficients = [0.0, 1.0]
         (("unit =", "units ="), "unknown key 'units'"),
         (("coefficients =", 'scale = "pul"\ncoefficients ='), "scale = 'pul'"),
         (('inputs = ["pressure_kpa"]', "inputs = 3"), "expected a list of up to two inputs"),
+        (("coefficients =", "period = -1.0\ncoefficients ="), "period = -1.0"),
+        (("coefficients =", "period = true\ncoefficients ="), "True is not a finite number"),
+        (("coefficients =", "period = 3.0\ncoefficients ="), "4 belong to these knots"),
     ],
 )
 def test_a_bad_table_is_refused_in_one_line(

@@ -184,7 +184,9 @@ def plain_kinds() -> tuple[Plain, ...]:
             "empirical",
             {
                 "empirical.NAME": plain("unit"),
-                "empirical.NAME.terms[]": plain("inputs", "knots", "coefficients", "scale"),
+                "empirical.NAME.terms[]": plain(
+                    "inputs", "knots", "coefficients", "scale", "period"
+                ),
             },
             (EXAMPLES / "empirical.toml",),
             _empirical,

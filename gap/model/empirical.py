@@ -31,6 +31,7 @@ from plant.effects.empirical import (
     Correction,
     braid_scales,
     pressure_per_flow,
+    wave_columns,
 )
 from plant.effects.trials import without_noise_turns
 from plant.physics.layout import DEAD_BAND, DELAY, DELAY_MODE, DELAY_SLOPE, nominal_slots
@@ -52,7 +53,9 @@ def correction_at(grid: Grid, correction: Correction, c: PlantConstants) -> Arra
     at = inputs_of(grid, block, plain.inputs)
     if plain.scales:
         at |= scales_of(grid, block, c)
-    return plain.value(at, int(grid.points[block].row.max(initial=-1)) + 1)
+    periods = {(t.inputs[0], t.period) for t in plain.terms if t.period}
+    waves = {(name, period): waves_at(grid, block, name, period) for name, period in periods}
+    return plain.value(at, int(grid.points[block].row.max(initial=-1)) + 1, waves)
 
 
 def in_load(grid: Grid, force: Correction, c: PlantConstants) -> Array:
@@ -376,6 +379,19 @@ def inputs_of(grid: Grid, block: str, names: tuple[str, ...]) -> dict[str, Array
             values = _means(points, _OF_POINTS[name](grid, points))
         # A table of settled points has no time; its direction is what it says of the past.
         made[name] = np.nan_to_num(np.where(timed | (name not in _TIMED), values, 0.0))
+    return made
+
+
+def waves_at(grid: Grid, block: str, name: str, period: float) -> Array:
+    """Waves of an input in the mean over every row of a block, shape (rows, `WAVES`).
+
+    A row that stands for some periods shows nothing of them; nor does one without time.
+    """
+    points = grid.points[block]
+    own = wave_columns(point_inputs_of(grid, block, (name,))[name], period)
+    made = np.stack([_means(points, column) for column in own.T], axis=1)
+    if name in _TIMED:
+        made[np.bincount(points.row, weights=points.settled) > 0.0] = 0.0
     return made
 
 

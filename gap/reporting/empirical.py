@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gap.verdict import EmpiricalTerm, TermCourse, Verdict
+from plant.effects.empirical import SplineTerm
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -137,8 +138,16 @@ def _ends(name: str, ends: tuple[float, float]) -> str:
 
 def _kind(term: EmpiricalTerm) -> str:
     """What the terms are errors of."""
-    used = dict.fromkeys(t.scale for t in term.correction.terms)
-    return " and ".join(_KINDS[scale] for scale in used)
+    used = dict.fromkeys((t.scale, _repeats(t)) for t in term.correction.terms)
+    return " and ".join(_KINDS[scale] + repeats for scale, repeats in used)
+
+
+def _repeats(term: SplineTerm) -> str:
+    """How a part repeats, such as " that repeats every 0.13 s"; nothing where it does not."""
+    if not term.period:
+        return ""
+    _, _, unit = INPUT_TEXT[term.inputs[0]].partition(", ")
+    return f" that repeats every {term.period:.3g} {unit}".rstrip()
 
 
 def empirical_figure(term: EmpiricalTerm | None) -> Figure | None:

@@ -29,6 +29,7 @@ from plant.effects.empirical import (
     Correction,
     SplineTerm,
     product_splines,
+    wave_columns,
 )
 
 
@@ -266,7 +267,8 @@ def _held_out(problem: FitProblem, search: TermSearch) -> HeldOut:
 def _spline_term(piece: Piece, coefficients: Array, chosen: Sequence[Piece]) -> SplineTerm:
     first = sum(len(one.at) for one in chosen[: [id(c) for c in chosen].index(id(piece))])
     own = coefficients[first : first + len(piece.at)]
-    return SplineTerm(piece.inputs, piece.knots, tuple(float(f"{c:.8g}") for c in own), piece.scale)
+    rounded = tuple(float(f"{c:.8g}") for c in own)
+    return SplineTerm(piece.inputs, piece.knots, rounded, piece.scale, piece.period)
 
 
 _SHOWN = 41
@@ -274,9 +276,13 @@ _SHOWN = 41
 
 def _course(search: TermSearch, chosen: Sequence[Piece], piece: Piece) -> TermCourse:
     """One piece over its inputs; its band is the jackknife over slots."""
-    axes = tuple(np.linspace(k[0], k[-1], _SHOWN) for k in piece.knots)
+    spans = [(own[0], own[-1]) for own in piece.knots]
+    if piece.period:
+        spans[0] = (0.0, piece.period)
+    axes = tuple(np.linspace(*span, _SHOWN) for span in spans)
     mesh = [m.ravel() for m in np.meshgrid(*axes, indexing="ij")]
-    shown = product_splines(mesh, piece.knots, len(mesh[0]))
+    first = wave_columns(mesh[0], piece.period) if piece.period else None
+    shown = product_splines(mesh, piece.knots, len(mesh[0]), first)
     shape = tuple(len(a) for a in axes)
     columns = search.columns(chosen)
     place = np.flatnonzero(np.isin(columns, piece.at))

@@ -14,7 +14,7 @@ import numpy as np
 
 from gap.estimation.cross_validation import floor_squares
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.model.empirical import inputs_of, scales_of
+from gap.model.empirical import inputs_of, scales_of, waves_at
 from gap.model.features import BLOCKS, UNITS
 from gap.validation.config import ValidationConfig
 from gap.validation.terms.held_out_terms import HeldOutTerms, Whole, gain_and_errors
@@ -67,6 +67,7 @@ def compact_expression(
     scales[""] = np.ones(len(next(iter(at.values()))))
     used = dict.fromkeys(term.scale for term in correction.terms)
     words, text = _library(at)
+    words += _waves(problem, correction)
     library = [(scale, word, word.values * scales[scale]) for scale in used for word in words]
     columns = np.stack([values for _, _, values in library], axis=1)
     size = np.sqrt(np.maximum(np.mean(columns**2, axis=0), 1e-300))
@@ -90,6 +91,18 @@ def compact_expression(
     where = "; ".join(line for name, line in text.items() if name in written)
     closed = float((nothing - errors).sum() / max(float((nothing - floor).sum()), 1e-300))
     return Expression(f"{written}, {where}" if where else written, closed)
+
+
+def _waves(problem: FitProblem, correction: Correction) -> list[_Word]:
+    """Cosine and sine of the periods with which a correction repeats, in the mean over each row."""
+    made = []
+    for name, period in {(t.inputs[0], t.period): None for t in correction.terms if t.period}:
+        short, unit = _SHORT[name]
+        columns = waves_at(problem.grid, correction.block, name, period)
+        for k, values in enumerate(columns.T):
+            turn, wave = period / (k // 2 + 1), ("cos", "sin")[k % 2]
+            made.append(_Word(f"{wave}(2 pi {short}/{turn:.4g} {unit})", values))
+    return made
 
 
 def _summed(scale: str, parts: list[str], unit: str) -> str:

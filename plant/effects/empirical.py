@@ -22,8 +22,11 @@ later than its delay says, with "edges_ms" that by which both valves do both; wi
 the share that passes of commands too short for their valve to move by its delays. What a flow
 raised is forgotten with `FORGOTTEN_S`. With the scale "reading" its splines are what the gauge
 shows too much, in kPa: the gas itself is below the reading by as much. With "cell" those of a force
-are what its cell shows too much, in N: a load that hangs on it is below its reading by as much. It
-says nothing of another bench.
+are what its cell shows too much, in N: a load that hangs on it is below its reading by as much.
+
+A term with a `period` repeats in its first input: in the place of splines it has cosine and sine of
+that period and of half of it, in this order, and goes on beyond its knots, which say where it was
+learnt. A correction says nothing of another bench.
 """
 
 from __future__ import annotations
@@ -96,6 +99,10 @@ SCALE_INPUTS: Mapping[str, tuple[str, ...]] = {
 _SCALES_OF = {"force": (*SCALES, CELL), "load": SCALES, "pressure": IN_GAS, "camera": ()}
 FORGOTTEN_S = 5.0
 """Time constant with which the diagnosis draws a predicted pressure to the reading."""
+WAVES = 4
+"""Columns of an input in which a term repeats."""
+Waves = Mapping[tuple[str, float], Array]
+"""Columns of waves by input and period, shape (instants, `WAVES`) each."""
 STATIC = ("pressure_kpa", "length_mm")
 """Inputs that a law without time has."""
 
@@ -109,21 +116,29 @@ class SplineTerm:
         coefficients: one a product of splines, the last input running fastest.
         scale: one of `SCALES` that the splines are multiplied by, one of `IN_GAS`, `CELL`, or ""
             for none.
+        period: with which it repeats in its first input, in that input's unit; 0 for splines.
     """
 
     inputs: tuple[str, ...]
     knots: tuple[tuple[float, ...], ...]
     coefficients: tuple[float, ...]
     scale: str = ""
+    period: float = 0.0
 
-    def value(self, at: Mapping[str, Array], count: int) -> Array:
-        """Value at `count` instants, shape (count,)."""
-        made = self.splines(at, count)
+    def value(self, at: Mapping[str, Array], count: int, waves: Waves | None = None) -> Array:
+        """Value at `count` instants, shape (count,); see `Correction.value`."""
+        made = self.splines(at, count, waves)
         return np.asarray(made * at[self.scale] if self.scale not in ("", CELL) else made)
 
-    def splines(self, at: Mapping[str, Array], count: int) -> Array:
+    def splines(self, at: Mapping[str, Array], count: int, waves: Waves | None = None) -> Array:
         """Value before it is multiplied by the scale, shape (count,)."""
-        columns = product_splines([at[name] for name in self.inputs], self.knots, count)
+        first = None
+        if self.period:
+            name = self.inputs[0]
+            known = waves or {}
+            first = known.get((name, self.period))
+            first = wave_columns(at[name], self.period) if first is None else first
+        columns = product_splines([at[name] for name in self.inputs], self.knots, count, first)
         return np.asarray(columns @ np.asarray(self.coefficients))
 
 
@@ -154,14 +169,17 @@ class Correction:
                 made[name] = (min(low, knots[0]), max(high, knots[-1]))
         return {name: made[name] for name in self.inputs}
 
-    def value(self, at: Mapping[str, Array], count: int) -> Array:
+    def value(self, at: Mapping[str, Array], count: int, waves: Waves | None = None) -> Array:
         """Correction at `count` instants in the block's unit, shape (count,).
 
-        `at` gives each input and each scale that it needs, shape (count,).
+        Args:
+            at: each input and each scale that it needs, shape (count,).
+            waves: means of waves where an instant stands for a while, by input and period; those
+                that are not there are taken at the instant, shape (count, `WAVES`).
         """
         made = np.zeros(count)
         for term in self.terms:
-            made += term.value(at, count)
+            made += term.value(at, count, waves)
         return made
 
     def as_config(self) -> dict[str, Any]:
@@ -174,6 +192,7 @@ class Correction:
                     "knots": [list(k) for k in t.knots],
                     "coefficients": list(t.coefficients),
                     **({"scale": t.scale} if t.scale else {}),
+                    **({"period": t.period} if t.period else {}),
                 }
                 for t in self.terms
             ],
@@ -258,11 +277,25 @@ def spline_columns(x: Array, knots: tuple[float, ...]) -> Array:
     return np.asarray(BSpline.design_matrix(inside, whole, degree).toarray())
 
 
-def product_splines(x: list[Array], knots: tuple[tuple[float, ...], ...], count: int) -> Array:
-    """Products of the splines of each input, shape (count, products); a one without any input."""
+def wave_columns(x: Array, period: float) -> Array:
+    """Cosine and sine of x with a period, and with half of it, shape (n, `WAVES`)."""
+    turns = 2.0 * np.pi * np.asarray(x, dtype=np.float64)[:, None] / period * np.arange(1.0, 3.0)
+    return np.stack([np.cos(turns), np.sin(turns)], axis=2).reshape(len(turns), WAVES)
+
+
+def product_splines(
+    x: list[Array], knots: tuple[tuple[float, ...], ...], count: int, first: Array | None = None
+) -> Array:
+    """Products of the splines of each input, shape (count, products); a one without any input.
+
+    `first` are columns that stand in the place of the splines of the first input: its waves.
+    """
     made = np.ones((count, 1))
-    for values, own in zip(x, knots, strict=True):
-        columns = spline_columns(np.asarray(values, dtype=np.float64), own)
+    for k, (values, own) in enumerate(zip(x, knots, strict=True)):
+        if first is not None and k == 0:
+            columns = first
+        else:
+            columns = spline_columns(np.asarray(values, dtype=np.float64), own)
         made = (made[:, :, None] * columns[:, None, :]).reshape(count, -1)
     return made
 
@@ -286,7 +319,7 @@ def _only(table: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:
 
 def _term(value: object, block: str, where: str) -> SplineTerm:
     table = _table(value, where)
-    _only(table, ("inputs", "knots", "coefficients", "scale"), where)
+    _only(table, ("inputs", "knots", "coefficients", "scale", "period"), where)
     inputs = table.get("inputs")
     if not isinstance(inputs, list) or len(inputs) > 2:
         raise PlantError(f"{where}: inputs = {inputs!r:.40}; expected a list of up to two inputs")
@@ -300,8 +333,10 @@ def _term(value: object, block: str, where: str) -> SplineTerm:
     for name, own in zip(inputs, each, strict=True):
         if len(own) < 2 or not np.all(np.diff(own) > 0.0):
             raise PlantError(f"{where}: knots of {name}: expected two numbers or more that rise")
+    period = _period(table.get("period", 0.0), bool(inputs), where)
     coefficients = _numbers(table.get("coefficients"), f"{where}: coefficients")
-    needed = int(np.prod([splines_on(own) for own in each], dtype=np.int64))
+    counts = [WAVES if period and k == 0 else splines_on(own) for k, own in enumerate(each)]
+    needed = int(np.prod(counts, dtype=np.int64))
     if len(coefficients) != needed:
         raise PlantError(
             f"{where}: {len(coefficients)} coefficients; {needed} belong to these knots"
@@ -310,7 +345,15 @@ def _term(value: object, block: str, where: str) -> SplineTerm:
     if scale not in ("", *_SCALES_OF[block]):
         allowed = ", ".join(_SCALES_OF[block]) or "none"
         raise PlantError(f"{where}: scale = {scale!r:.40}; allowed {allowed}")
-    return SplineTerm(tuple(inputs), each, coefficients, scale)
+    return SplineTerm(tuple(inputs), each, coefficients, scale, period)
+
+
+def _period(value: object, has_input: bool, where: str) -> float:
+    """Period of a term, 0 for none; `PlantError` where it is no period of an input."""
+    (period,) = _numbers([value], f"{where}: period")
+    if period < 0.0 or (period and not has_input):
+        raise PlantError(f"{where}: period = {value!r:.40}; expected more than 0, and an input")
+    return period
 
 
 _MOST_NUMBERS = 2000

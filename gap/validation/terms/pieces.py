@@ -6,8 +6,9 @@ summed up over time to a pressure.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from gap.model.empirical import (
 )
 from gap.model.features import BLOCKS
 from gap.validation.terms.held_out_terms import Whole
+from gap.validation.terms.waves import Wave
 from plant.arrays import Array
 from plant.effects.empirical import (
     CELL,
@@ -110,6 +112,7 @@ class Piece:
 
     Attributes:
         scale: one of `SCALES` that they are multiplied by, or "".
+        period: with which it repeats in its first input; 0 for splines.
         at: numbers of its columns among those of all pieces.
         rough: second differences of its coefficients as a form, shape (columns, columns).
     """
@@ -119,13 +122,15 @@ class Piece:
     scale: str
     at: Whole
     rough: Array
+    period: float = 0.0
 
     def holds(self, other: Piece) -> bool:
         """Whether it can be what the other is: a product holds what its inputs do alone, splines
         hold a line.
         """
         inside = set(other.inputs) <= set(self.inputs)
-        return self.scale == other.scale and inside and len(self.at) >= len(other.at)
+        alike = self.scale == other.scale and self.period == other.period
+        return alike and inside and len(self.at) >= len(other.at)
 
     @property
     def fine(self) -> bool:
@@ -147,12 +152,16 @@ def groups_of(pieces: Iterable[Piece]) -> frozenset[str]:
     return frozenset[str]().union(*(piece.groups for piece in pieces))
 
 
-def pieces_of(at: dict[str, Array], count: int) -> tuple[tuple[Piece, ...], Array]:
+def pieces_of(
+    at: dict[str, Array], count: int, waves: Mapping[Wave, Array] = MappingProxyType({})
+) -> tuple[tuple[Piece, ...], Array]:
     """All pieces that these inputs can make, and their columns side by side, shape (rows, columns).
 
     Args:
         at: inputs, and scales of a force, at every row, shape (rows,) each.
         count: number of rows.
+        waves: what repeats, with its columns; each makes a piece, and one that grows with the
+            pressure.
     """
     varied = {
         name: x
@@ -187,6 +196,19 @@ def pieces_of(at: dict[str, Array], count: int) -> tuple[tuple[Piece, ...], Arra
         width = own.shape[1]
         made.append(Piece(inputs, knots, scale, np.arange(first, first + width), _rough(knots)))
         first += width
+    for wave, shown in waves.items():
+        for beside in ((), ("pressure_kpa",)):
+            if not all(name in varied for name in beside):
+                continue
+            inputs = (wave.input, *beside)
+            knots = tuple((float(varied[n].min()), float(varied[n].max())) for n in inputs)
+            own = product_splines([varied[n] for n in inputs], knots, count, shown)
+            columns.append(own * at[wave.scale][:, None] if wave.scale else own)
+            width = own.shape[1]
+            place = np.arange(first, first + width)
+            rough = np.zeros((width, width))
+            made.append(Piece(inputs, knots, wave.scale, place, rough, wave.period))
+            first += width
     return tuple(made), np.hstack(columns) if columns else np.empty((count, 0))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from gap.estimation.config import ESTIMATION
 from gap.estimation.cross_validation import floor_squares
 from gap.estimation.fit_problem import FitProblem, FitResult
-from gap.model.empirical import inputs_of, scales_of, weighed
+from gap.model.empirical import inputs_of, scales_of, waves_at, weighed
 from gap.model.features import BLOCKS
 from gap.validation.config import ValidationConfig
 from gap.validation.terms.held_out_terms import HeldOutTerms, Whole, gain_and_errors, joined
@@ -33,6 +33,7 @@ from gap.validation.terms.pieces import (
     with_flows,
 )
 from gap.validation.terms.refit import FittedTerm, TermColumns, fitted_with_term
+from gap.validation.terms.waves import Wave, WaveRows, waves_of
 from plant.arrays import Array
 from plant.effects.empirical import CELL, IN_GAS, INPUTS, SCALE_INPUTS
 
@@ -169,6 +170,7 @@ class TermSearch:
                 # What drives the gas makes its pressure change as well.
                 _RATE in one[0].inputs,
                 one[0].fine,
+                len(one[0].at),
                 float(one[1].sum()),
             ),
         )
@@ -256,10 +258,12 @@ def search_of(
             scales = scales_of(problem.grid, block, problem.constants(fit.shift))
         if block == "force" and "load" in problem.grid.points and weighed(problem.grid).any():
             scales[CELL] = np.ones(count)
-        pieces, columns = pieces_of(inputs_of(problem.grid, block, MUSCLE_INPUTS) | scales, count)
+        at = inputs_of(problem.grid, block, MUSCLE_INPUTS) | scales
+        pieces, columns = pieces_of(at, count, _waves(problem, fit, block, at, first))
     else:
         if first is None:
-            pieces, columns = pieces_of(inputs_of(problem.grid, block, GAS_INPUTS), count)
+            at = inputs_of(problem.grid, block, GAS_INPUTS)
+            pieces, columns = pieces_of(at, count, _waves(problem, fit, block, at, None))
             pieces, flows = with_flows(problem, pieces, columns.shape[1])
         else:  # only what a flow does depends on the fit
             pieces, flows = first.pieces, first.flows
@@ -306,6 +310,24 @@ def search_of(
         block, fit, pieces, columns, beside, flows, terms, plain, base - floor, floor, config
     )
     return made if made.gaps.sum() > 0.0 else None
+
+
+def _waves(
+    problem: FitProblem, fit: FitResult, block: str, at: dict[str, Array], first: TermSearch | None
+) -> dict[Wave, Array]:
+    """What repeats in the residual of a block, and its columns; as in the first search, if any."""
+    if first is not None:
+        own = [Wave(p.inputs[0], p.scale, p.period) for p in first.pieces if p.period]
+    else:
+        here = problem.rows.block == BLOCKS.index(block)
+        trial = problem.rows.trial[here]
+        span = problem.rows.span_s[here]
+        wide = {"time_s": span, "length_mm": span * np.abs(at["velocity_mm_s"])}
+        rows = WaveRows(
+            fit.residual[here], problem.rows.compared_s[here], trial, problem.units[trial]
+        )
+        own = waves_of(rows, at, wide)
+    return {wave: waves_at(problem.grid, block, wave.input, wave.period) for wave in own}
 
 
 def refitted(
