@@ -99,7 +99,7 @@ def _period(rows: WaveRows, x: Array, wide: Array, shape: Array, name: str) -> f
         again = int(np.argmax(spectra.gain(np.delete(spectra.sums, k, axis=0).sum(axis=0))))
         if abs(again - best) > _FINER:
             return None
-    finer = frequency[best] + apart * np.linspace(-1.0, 1.0, 17)
+    finer: Array = np.asarray(frequency[best] + apart * np.linspace(-1.0, 1.0, 17))
     around = _Spectra.of(rows.weight, y, shape, x, wide, np.array([0]), finer)
     found = finer[int(np.argmax(around.gain(around.sums[0])))]
     return float(f"{1.0 / found:.6g}")
