@@ -86,7 +86,8 @@ def _period(rows: WaveRows, x: Array, wide: Array, shape: Array, name: str) -> f
         return None
     apart = 1.0 / (_FINER * span)
     count = min(int(0.5 / step / apart), _MOST // len(x))
-    frequency = apart * np.arange(int(_LEAST_TURNS * _FINER), count)
+    tried = np.arange(int(_LEAST_TURNS * _FINER), count)
+    frequency: Array = np.asarray(apart * tried, dtype=np.float64)
     if len(frequency) < _FINER:
         return None
     y = _without_slow(rows, x, shape, groups, _SLOWEST[name])
@@ -99,7 +100,7 @@ def _period(rows: WaveRows, x: Array, wide: Array, shape: Array, name: str) -> f
         again = int(np.argmax(spectra.gain(np.delete(spectra.sums, k, axis=0).sum(axis=0))))
         if abs(again - best) > _FINER:
             return None
-    finer: Array = np.asarray(frequency[best] + apart * np.linspace(-1.0, 1.0, 17))
+    finer: Array = frequency[best] + apart * np.linspace(-1.0, 1.0, 17)
     around = _Spectra.of(rows.weight, y, shape, x, wide, np.array([0]), finer)
     found = finer[int(np.argmax(around.gain(around.sums[0])))]
     return float(f"{1.0 / found:.6g}")
