@@ -94,6 +94,14 @@ class _Case:
         return self.config.unknown_several if several else self.config.unknown
 
     @property
+    def least_reliability(self) -> float:
+        """Least probability that the explanation is right, in full or in part, for a name."""
+        if len(self.search.best.fit.ids) > 1:
+            return self.config.named_several
+        whole = self.share >= self.config.whole_share
+        return self.config.named if whole else self.config.named_with_rest
+
+    @property
     def share(self) -> float:
         """Share of the gap that is explained; what chance may leave does not count as left."""
         left = max(self.search.left - self.chance, 0.0)
@@ -337,8 +345,8 @@ def _explained(case: _Case) -> _Finding:
     status, why = _status(case, entries, *alike)
     right, partly = reliability["right"], reliability["right"] + reliability["part"]
     several = len(fit.ids) > 1
-    least = config.named_several if several else config.named
-    if status in NAMED and (partly < least or (several and right < config.named_all)):
+    unlikely = partly < case.least_reliability
+    if status in NAMED and (unlikely or (several and right < config.named_all)):
         status = Status.INDISTINGUISHABLE
         why = reason(Cause.UNRELIABLE, names=names, percent=100 * right)
     stage = CATALOGUE[fit.ids[0]].stage
