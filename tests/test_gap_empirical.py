@@ -229,6 +229,7 @@ coefficients = [0.0, 1.0]
         (("coefficients =", 'scale = "pul"\ncoefficients ='), "scale = 'pul'"),
         (('inputs = ["pressure_kpa"]', "inputs = 3"), "expected a list of up to two inputs"),
         (("coefficients =", "period = -1.0\ncoefficients ="), "period = -1.0"),
+        (("coefficients =", "period = 1e-300\ncoefficients ="), "expected 1e-06 or more"),
         (("coefficients =", "period = true\ncoefficients ="), "True is not a finite number"),
         (("coefficients =", "period = 3.0\ncoefficients ="), "4 belong to these knots"),
     ],

@@ -351,9 +351,14 @@ def _term(value: object, block: str, where: str) -> SplineTerm:
 def _period(value: object, has_input: bool, where: str) -> float:
     """Period of a term, 0 for none; `PlantError` where it is no period of an input."""
     (period,) = _numbers([value], f"{where}: period")
-    if period < 0.0 or (period and not has_input):
-        raise PlantError(f"{where}: period = {value!r:.40}; expected more than 0, and an input")
+    if period and (period < _LEAST_PERIOD or not has_input):
+        raise PlantError(
+            f"{where}: period = {value!r:.40}; expected {_LEAST_PERIOD:g} or more, and an input"
+        )
     return period
+
+
+_LEAST_PERIOD = 1e-6
 
 
 _MOST_NUMBERS = 2000

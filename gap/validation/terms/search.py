@@ -327,7 +327,9 @@ def _waves(
             fit.residual[here], problem.rows.compared_s[here], trial, problem.units[trial]
         )
         own = waves_of(rows, at, wide)
-    return {wave: waves_at(problem.grid, block, wave.input, wave.period) for wave in own}
+    return {
+        wave: waves_at(problem.grid, block, wave.input, wave.period) for wave in dict.fromkeys(own)
+    }
 
 
 def refitted(

@@ -27,7 +27,9 @@ _AT_ONCE = 500_000
 _SLOWEST = {"time_s": 2, "length_mm": 3}
 """Degree of the polynomial that goes first: in time of each trial, in length of all together."""
 _RIDGE = 1e-3
+"""Share of the largest squares of a wave that is added to each, for those that rows hardly tell."""
 _LEAST_SLOTS = 3
+"""Slots without which a period cannot be found again without one. A matter of definition."""
 _CLOSE = 0.25
 """Share of the distances of rows that are closer than the one that tells the shortest period."""
 
@@ -163,11 +165,8 @@ class _Spectra:
         return cls(made)
 
     def gain(self, sums: Array) -> Array:
-        """Squares that cosine and sine of each frequency take, from sums, shape (5, frequencies).
-
-        A ridge keeps those from taking much that rows hardly tell apart.
-        """
+        """Squares that cosine and sine of each frequency take, from sums, shape (5, frequencies)."""
         a, b, cc, cs, ss = sums
-        even = _RIDGE * (cc + ss).max(initial=0.0) + 1e-300
+        even = _RIDGE * (cc + ss).max(initial=0.0) + 1e-150
         cc, ss = cc + even, ss + even
         return np.asarray((ss * a**2 - 2.0 * cs * a * b + cc * b**2) / (cc * ss - cs**2))
