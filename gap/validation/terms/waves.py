@@ -165,7 +165,7 @@ class _Spectra:
         return cls(made)
 
     def gain(self, sums: Array) -> Array:
-        """Squares that cosine and sine of each frequency take, from sums, shape (5, frequencies)."""
+        """Squares that each frequency takes, from sums of shape (5, frequencies)."""
         a, b, cc, cs, ss = sums
         even = _RIDGE * (cc + ss).max(initial=0.0) + 1e-150
         cc, ss = cc + even, ss + even
