@@ -339,7 +339,9 @@ def test_every_scale_of_a_piece_is_one_that_a_plant_file_takes(tmp_path: Path) -
             search = search_of(problem, problem.base, block, VALIDATION)
             for piece in search.pieces if search is not None else ():
                 coefficients = (0.0,) * len(piece.at)
-                term = SplineTerm(piece.inputs, piece.knots, coefficients, piece.scale)
+                term = SplineTerm(
+                    piece.inputs, piece.knots, coefficients, piece.scale, piece.period
+                )
                 written = {block: Correction(block, (term,)).as_config()}
                 assert Corrections.from_config(written).of[block].terms == (term,)
                 seen.add(block)
