@@ -53,8 +53,7 @@ def correction_at(grid: Grid, correction: Correction, c: PlantConstants) -> Arra
     at = inputs_of(grid, block, plain.inputs)
     if plain.scales:
         at |= scales_of(grid, block, c)
-    periods = {(t.inputs[0], t.period) for t in plain.terms if t.period}
-    waves = {(name, period): waves_at(grid, block, name, period) for name, period in periods}
+    waves = {(name, period): waves_at(grid, block, name, period) for name, period in plain.periods}
     return plain.value(at, int(grid.points[block].row.max(initial=-1)) + 1, waves)
 
 

@@ -96,7 +96,7 @@ def compact_expression(
 def _waves(problem: FitProblem, correction: Correction) -> list[_Word]:
     """Cosine and sine of the periods with which a correction repeats, in the mean over each row."""
     made = []
-    for name, period in {(t.inputs[0], t.period): None for t in correction.terms if t.period}:
+    for name, period in correction.periods:
         short, unit = _SHORT[name]
         columns = waves_at(problem.grid, correction.block, name, period)
         for k, values in enumerate(columns.T):

@@ -134,10 +134,9 @@ class SplineTerm:
         """Value before it is multiplied by the scale, shape (count,)."""
         first = None
         if self.period:
-            name = self.inputs[0]
-            known = waves or {}
-            first = known.get((name, self.period))
-            first = wave_columns(at[name], self.period) if first is None else first
+            first = (waves or {}).get((self.inputs[0], self.period))
+            if first is None:
+                first = wave_columns(at[self.inputs[0]], self.period)
         columns = product_splines([at[name] for name in self.inputs], self.knots, count, first)
         return np.asarray(columns @ np.asarray(self.coefficients))
 
@@ -158,6 +157,11 @@ class Correction:
     def scales(self) -> tuple[str, ...]:
         """Scales that it needs."""
         return tuple(name for name in SCALES if any(term.scale == name for term in self.terms))
+
+    @property
+    def periods(self) -> tuple[tuple[str, float], ...]:
+        """Inputs in which it repeats, each with its period."""
+        return tuple(dict.fromkeys((t.inputs[0], t.period) for t in self.terms if t.period))
 
     @property
     def domain(self) -> dict[str, tuple[float, float]]:
@@ -279,7 +283,8 @@ def spline_columns(x: Array, knots: tuple[float, ...]) -> Array:
 
 def wave_columns(x: Array, period: float) -> Array:
     """Cosine and sine of x with a period, and with half of it, shape (n, `WAVES`)."""
-    turns = 2.0 * np.pi * np.asarray(x, dtype=np.float64)[:, None] / period * np.arange(1.0, 3.0)
+    times = np.arange(1.0, WAVES // 2 + 1)
+    turns = 2.0 * np.pi * np.asarray(x, dtype=np.float64)[:, None] / period * times
     return np.stack([np.cos(turns), np.sin(turns)], axis=2).reshape(len(turns), WAVES)
 
 
@@ -303,6 +308,11 @@ def product_splines(
 def splines_on(knots: tuple[float, ...]) -> int:
     """Number of splines that stand on these knots."""
     return len(knots) + (2 if len(knots) > 3 else 0)
+
+
+def columns_on(knots: tuple[tuple[float, ...], ...], period: float = 0.0) -> list[int]:
+    """Number of columns of each input: splines on its knots, or waves of the first."""
+    return [WAVES if period and k == 0 else splines_on(own) for k, own in enumerate(knots)]
 
 
 def _table(value: object, where: str) -> Mapping[str, Any]:
@@ -335,8 +345,7 @@ def _term(value: object, block: str, where: str) -> SplineTerm:
             raise PlantError(f"{where}: knots of {name}: expected two numbers or more that rise")
     period = _period(table.get("period", 0.0), bool(inputs), where)
     coefficients = _numbers(table.get("coefficients"), f"{where}: coefficients")
-    counts = [WAVES if period and k == 0 else splines_on(own) for k, own in enumerate(each)]
-    needed = int(np.prod(counts, dtype=np.int64))
+    needed = int(np.prod(columns_on(each, period), dtype=np.int64))
     if len(coefficients) != needed:
         raise PlantError(
             f"{where}: {len(coefficients)} coefficients; {needed} belong to these knots"

@@ -41,8 +41,8 @@ from plant.effects.empirical import (
     SCALES,
     SHORT_PULSES,
     VALVE_FLOW,
+    columns_on,
     product_splines,
-    splines_on,
 )
 
 _KNOTS = {"pressure_kpa": 9, "length_mm": 5, "time_s": 14, "since_edge_s": 9, "valve": 3}
@@ -104,6 +104,8 @@ _MANY_KNOTS = 20
 """Knots of one input above which a piece counts as fine: more than any other piece has."""
 _EVERY_MM = -1
 """In the place of a number of knots: as many as `_FINE_MM` asks for."""
+
+_Knots = tuple[tuple[float, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -177,9 +179,7 @@ def pieces_of(
     wanted += [("", pair, 0) for pair in _PRODUCTS]
     # What a fine product takes is shared out to its inputs by as fine splines of each.
     wanted += [("", inputs, _EVERY_MM) for inputs in (_FINE, ("length_mm",))]
-    made: list[Piece] = []
-    columns: list[Array] = []
-    first = 0
+    parts: list[tuple[_Knots, tuple[str, ...], str, Wave | None]] = []
     for scale, inputs, most in wanted:
         if not all(name in varied for name in inputs):
             continue
@@ -191,24 +191,22 @@ def pieces_of(
         )
         if most == 2 and len(np.unique(np.round(varied[inputs[0]], 6))) <= 3:
             continue  # the splines on so few settings say as much
-        own = product_splines([varied[n] for n in inputs], knots, count)
+        parts.append((knots, inputs, scale, None))
+    for wave in waves:
+        for inputs in ((wave.input,), (wave.input, "pressure_kpa")):
+            if all(name in varied for name in inputs):
+                ends = tuple((float(varied[n].min()), float(varied[n].max())) for n in inputs)
+                parts.append((ends, inputs, wave.scale, wave))
+    made: list[Piece] = []
+    columns: list[Array] = []
+    first = 0
+    for knots, inputs, scale, repeats in parts:
+        shown, period = (waves[repeats], repeats.period) if repeats else (None, 0.0)
+        own = product_splines([varied[n] for n in inputs], knots, count, shown)
         columns.append(own * at[scale][:, None] if scale else own)
-        width = own.shape[1]
-        made.append(Piece(inputs, knots, scale, np.arange(first, first + width), _rough(knots)))
-        first += width
-    for wave, shown in waves.items():
-        for beside in ((), ("pressure_kpa",)):
-            if not all(name in varied for name in beside):
-                continue
-            inputs = (wave.input, *beside)
-            knots = tuple((float(varied[n].min()), float(varied[n].max())) for n in inputs)
-            own = product_splines([varied[n] for n in inputs], knots, count, shown)
-            columns.append(own * at[wave.scale][:, None] if wave.scale else own)
-            width = own.shape[1]
-            place = np.arange(first, first + width)
-            rough = np.zeros((width, width))
-            made.append(Piece(inputs, knots, wave.scale, place, rough, wave.period))
-            first += width
+        place = np.arange(first, first + own.shape[1])
+        made.append(Piece(inputs, knots, scale, place, _rough(knots, period), period))
+        first += own.shape[1]
     return tuple(made), np.hstack(columns) if columns else np.empty((count, 0))
 
 
@@ -340,12 +338,15 @@ _SLOPE = 0.25
 some knots. Set on: practice sets 44321 and 44343; 1 and 4 do as well."""
 
 
-def _rough(knots: tuple[tuple[float, ...], ...]) -> Array:
-    """Sum of squared second and first differences along each input (Eilers and Marx 1996)."""
-    widths = [splines_on(own) for own in knots]
+def _rough(knots: _Knots, period: float = 0.0) -> Array:
+    """Sum of squared second and first differences along each input (Eilers and Marx 1996).
+
+    Waves have none: their columns have no order.
+    """
+    widths = columns_on(knots, period)
     made = np.zeros((int(np.prod(widths)),) * 2)
     for k, width in enumerate(widths):
-        if width < 3:
+        if width < 3 or (period and k == 0):
             continue
         bend, slope = (np.diff(np.eye(width), order, axis=0) for order in (2, 1))
         parts = [np.eye(w) for w in widths]

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gap.validation.config import VALIDATION
 from plant.arrays import Array
 
 _LEAST_SHARE = 0.1
@@ -28,8 +29,6 @@ _SLOWEST = {"time_s": 2, "length_mm": 3}
 """Degree of the polynomial that goes first: in time of each trial, in length of all together."""
 _RIDGE = 1e-3
 """Share of the largest squares of a wave that is added to each, for those that rows hardly tell."""
-_LEAST_SLOTS = 3
-"""Slots without which a period cannot be found again without one. A matter of definition."""
 _CLOSE = 0.25
 """Share of the distances of rows that are closer than the one that tells the shortest period."""
 
@@ -84,7 +83,7 @@ def _period(rows: WaveRows, x: Array, wide: Array, shape: Array, name: str) -> f
     span = max((float(np.ptp(x[groups == k])) for k in np.unique(groups)), default=0.0)
     step = _step(x, rows.trial, by_trial)
     slots, first = np.unique(rows.slot, return_index=True)
-    if not span > 0.0 or step is None or len(slots) < _LEAST_SLOTS:
+    if not span > 0.0 or step is None or len(slots) < VALIDATION.least_slots:
         return None
     apart = 1.0 / (_FINER * span)
     count = min(int(0.5 / step / apart), _MOST // len(x))
