@@ -5,20 +5,23 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from gap.data.reader import read_dataset
-from gap.decision.diagnose import diagnose_with_search
+from gap.decision.diagnose import diagnose, diagnose_with_search
 from gap.effects.candidates import CANDIDATES
 from gap.estimation.fit_problem import FitProblem
 from gap.estimation.shape_fit import fit_shapes
 from gap.model import force as laws
 from gap.model.force import Context
 from gap_bench import write_set
+from gap_sets import settled_set
 from plant.constants import nominal
 from plant.effects.arguments import Points
+from plant.effects.catalogue import CATALOGUE
 
 C = nominal()
 
@@ -88,6 +91,32 @@ def test_stribeck_s_part_of_friction_is_gone_at_speed() -> None:
     lost = laws.load_pull(points, [], context)
     lost = lost - laws.load_pull(points, [("link_friction", "", 2.0, shape)], context)
     assert lost == pytest.approx([2.0 * np.exp(-(0.5**2) / 16.0), 2.0 / np.e, 0.0], abs=1e-3)
+
+
+def test_ends_that_fill_are_whole_at_the_pressure_at_which_they_are_stated() -> None:
+    shortened = CATALOGUE["end_cap"].diagnosis.shortened
+    assert shortened is not None
+    p = np.array([-5e3, 0.0, 150e3, 500e3])
+    shape = {"grow": 0.0, "fill_kpa": 150.0}
+    found = shortened(p, np.full(4, 0.065), 1.2, shape, C)
+    part = (1.0 - np.exp(-1.0)) / (1.0 - np.exp(-10.0 / 3.0))
+    assert found == pytest.approx([0.0, 0.0, 1.2e-3 * part, 1.2e-3])
+
+
+def test_ends_that_fill_are_not_taken_for_threads_that_stretch(tmp_path: Path) -> None:
+    """Forces by the braid's equation (Chou and Hannaford 1996): only the threads' stretch depended
+    on the pressure, and was named."""
+    folder = settled_set(tmp_path / "ends", {})
+    samples, trials = (pd.read_csv(folder / f"{name}.csv") for name in ("samples", "trials"))
+    length = samples["trial"].map(trials.set_index("trial")["held_length_mm"])
+    p = samples["pressure_kpa"].clip(lower=0.0)
+    shorter = length - 1.5 * (1.0 - np.exp(-p / 140.0))
+    turns = 4.0 * np.pi * C.turns**2
+    samples["force_n"] += 1e-3 * p * 3.0 * (shorter**2 - length**2) / turns
+    samples.to_csv(folder / "samples.csv", index=False)
+    verdict = diagnose(read_dataset(folder))
+    assert verdict.effects[0].ids == ("end_cap",)
+    assert "fibre_stretch" not in verdict.sure
 
 
 @pytest.fixture(scope="module")

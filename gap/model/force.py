@@ -217,7 +217,7 @@ def muscle_force(points: Points, active: Active, context: Context) -> Array:
         if on.lost is not None:
             push = push - on.lost(p, term.amount, term.shape)
         if on.shortened is not None:
-            effective = effective - on.shortened(length, term.amount, term.shape, c)
+            effective = effective - on.shortened(p, length, term.amount, term.shape, c)
         if on.stretch is not None:
             braid = braid * (1.0 + on.stretch(p, length, term.amount, term.shape, c))
     if context.law is None:

@@ -145,7 +145,7 @@ class InDiagnosis:
         camera_bends: whether `camera` is no straight line of the length.
         pressure: (p, points, amount, shape) -> true pressure before gain and zero of the gauge.
         lost: (p, amount, shape) -> pressure that does not reach the braid.
-        shortened: (length, amount, shape, constants) -> m that the inner length is shorter.
+        shortened: (p, length, amount, shape, constants) -> m that the inner length is shorter.
         stretch: (p, length, amount, shape, constants) -> relative lengthening of the threads.
         force: (points, p, length, base, shape, context) -> force for an amount of one; `base` is
             the force of the braid.
@@ -174,7 +174,7 @@ class InDiagnosis:
     camera_bends: bool = False
     pressure: Callable[[Array, Points, float, Shape], Array] | None = None
     lost: Callable[[Array, float, Shape], Array] | None = None
-    shortened: Callable[[Array, float, Shape, PlantConstants], Array] | None = None
+    shortened: Callable[[Array, Array, float, Shape, PlantConstants], Array] | None = None
     stretch: Callable[[Array, Array, float, Shape, PlantConstants], Array] | None = None
     force: Callable[[Points, Array, Array, Array, Shape, Context], Array] | None = None
     stated: Callable[[Shape, Values, PlantConstants], Shape] | None = None

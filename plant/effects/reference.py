@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.physics.friction import REFERENCE_PRESSURE_PA
 
@@ -39,3 +42,10 @@ _LONGEST = 72.5 / 88.4
 def middle_of(c: PlantConstants) -> float:
     """Middle of the range of lengths, m."""
     return 0.5 * (c.length_min_m + c.length_max_m)
+
+
+def taken_up(p: Array, scale_kpa: float) -> Array:
+    """Share of a slack that pressure p (Pa) has taken up, of that at `FULL_PRESSURE_PA`."""
+    scale = 1e3 * scale_kpa
+    share = np.expm1(-np.maximum(p, 0.0) / scale) / np.expm1(-FULL_PRESSURE_PA / scale)
+    return np.asarray(share)

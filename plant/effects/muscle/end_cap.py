@@ -7,7 +7,7 @@ import numpy as np
 from plant.constants import PlantConstants
 from plant.effects.arguments import Array, Params, Shape, Values
 from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
-from plant.effects.reference import LENGTH_M, length_of
+from plant.effects.reference import LENGTH_M, length_of, taken_up
 from plant.physics.layout import TURNS
 from plant.physics.muscle import braid_force_slope
 
@@ -40,14 +40,17 @@ def _stiffness(bound: float, params: Params, p: float, length: float) -> float:
     return bound
 
 
-def _shortened(length: Array, amount: float, shape: Shape, c: PlantConstants) -> Array:
+def _shortened(p: Array, length: Array, amount: float, shape: Shape, c: PlantConstants) -> Array:
     grow, at = shape["grow"], length_of(c)
-    if grow == 0.0:
-        return np.full(len(length), amount * 1e-3)
     if grow < 0.0:
-        return amount * 1e-3 * (length / at)
-    share = contraction(length, _REST_OVER_LONGEST * c.length_max_m, at)
-    return amount * 1e-3 * np.maximum(share, 0.0) ** grow
+        share = length / at
+    else:
+        share = np.maximum(contraction(length, _REST_OVER_LONGEST * c.length_max_m, at), 0.0)
+        share = share**grow
+    if "fill_kpa" in shape:
+        # The ends fill as the pressure rises, the k(P) of Tondu and Lopez.
+        share = share * taken_up(p, shape["fill_kpa"])
+    return np.asarray(amount * 1e-3 * share)
 
 
 END_CAP = Effect(
@@ -76,7 +79,15 @@ END_CAP = Effect(
         step=0.2,
         sign=1,
         blocks=("force", "load"),
-        shapes=({"grow": 0.0}, {"grow": 1.0}, {"grow": 2.0}, {"grow": -1.0}),
+        shapes=(
+            {"grow": 0.0},
+            {"grow": 1.0},
+            {"grow": 2.0},
+            {"grow": -1.0},
+            {"grow": 0.0, "fill_kpa": 150.0},
+            {"grow": 1.0, "fill_kpa": 150.0},
+        ),
+        free={"fill_kpa": (30.0, 300.0)},
         plant_shape={"grow": 1.0},
         settled={"shortening_mm": (0.5, -5.0, 8.0)},
     ),

@@ -7,7 +7,7 @@ import numpy as np
 from plant.constants import PlantConstants
 from plant.effects.arguments import Array, Params, Shape, Values
 from plant.effects.effect import Effect, InDiagnosis, InPlant, Parameter, Search
-from plant.effects.reference import FULL_PRESSURE_PA, LENGTH_M
+from plant.effects.reference import FULL_PRESSURE_PA, LENGTH_M, taken_up
 
 PER_PA = 38  # braid length gained per Pa
 
@@ -28,8 +28,7 @@ def _stretch(p: Array, length: Array, amount: float, shape: Shape, c: PlantConst
         share = p / FULL_PRESSURE_PA * (b2 - length**2) / (b2 - LENGTH_M**2)
     elif "crimp_kpa" in shape:
         # The slack of a weave is taken up: after that the threads give way no more.
-        crimp = 1e3 * shape["crimp_kpa"]
-        share = np.expm1(-np.maximum(p, 0.0) / crimp) / np.expm1(-FULL_PRESSURE_PA / crimp)
+        share = taken_up(p, shape["crimp_kpa"])
     else:
         share = (np.maximum(p, 0.0) / FULL_PRESSURE_PA) ** shape["power"]
     return amount * 1e-2 * share
