@@ -316,7 +316,14 @@ class Verdict:
 
     @property
     def headline_gap(self) -> Gap | None:
-        """The gap to state first: that of the channel where it is largest for its range."""
+        """The gap to state first: that of the channel where it is largest for its range.
+
+        Of a gap without a name, that of the channel whose term says what it looks like.
+        """
+        if self.empirical is not None and self.status is Status.UNKNOWN:
+            for channel in self.channels:
+                if channel.unit == self.empirical.unit:
+                    return channel
         return self.channels[0] if self.channels else self.gap
 
     def as_dict(self) -> dict[str, Any]:

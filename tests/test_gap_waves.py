@@ -20,7 +20,7 @@ from gap.reporting.empirical import empirical_figure, empirical_lines
 from gap.validation.empirical import empirical_term
 from gap.validation.improved_plant import improved_plant
 from gap.validation.terms.waves import Wave, WaveRows, waves_of
-from gap.verdict import Status, Verdict
+from gap.verdict import Gap, Status, Verdict
 from gap_bench import write_set
 from plant.effects.empirical import WAVES, Correction, Corrections, SplineTerm, wave_columns
 
@@ -121,7 +121,12 @@ def test_a_gauge_that_hums_gets_a_term_with_its_period_and_the_plant_file_takes_
     assert max(term.shares, key=term.shares.__getitem__) == "history"
     periods = [one.period for one in term.correction.terms if one.period]
     assert periods == [pytest.approx(RIPPLE_S, rel=3e-3)]
-    verdict = Verdict(Status.UNKNOWN, Reason(Cause.NO_GAP), "muscle", (), 0.1, 0.9, empirical=term)
+    channels = tuple(Gap(unit, 1.0, 1.0, None, None, None) for unit in ("N", "kPa"))
+    verdict = Verdict(
+        Status.UNKNOWN, Reason(Cause.NO_GAP), "muscle", (), 0.1, 0.9,
+        empirical=term, channels=channels,
+    )  # fmt: skip
+    assert verdict.headline_gap is channels[1]
     assert "an addition that repeats every 0.137 s" in "\n".join(empirical_lines(verdict))
     assert verdict.as_dict()["empirical"]["terms"][0]["period"] == pytest.approx(RIPPLE_S, rel=3e-3)
     figure = empirical_figure(term)
