@@ -131,17 +131,31 @@ def test_a_refused_explanation_of_many_effects_names_nothing(two: _Case) -> None
     assert _by_presence(two, refused(two), two.search, odds)[1].sure == ("leak",)
 
 
-@pytest.mark.parametrize(("effects", "unknown", "foreign"), [
-    (1, 0.44, False), (2, 0.44, True), (2, 0.34, False), (1, 0.46, True),
-])  # fmt: skip
-def test_several_effects_stand_for_something_foreign_sooner_than_one(
+@pytest.mark.parametrize("effects", [1, 2])
+@pytest.mark.parametrize(("unknown", "foreign"), [(0.34, False), (0.36, True)])
+def test_an_explanation_that_often_stands_for_something_foreign_is_refused(
     two: _Case, one: _Case, effects: int, unknown: float, foreign: bool
 ) -> None:
-    """Pairs 53472, 53482, 53590 and 53704: two to four stood for one that was struck."""
+    """Pairs 53472, 53482, 53590 and 53704, where two to four stood for one that was struck, and
+    54416, where one did."""
     case = replace(two if effects == 2 else one)
     case.__dict__["reliability"] = {"right": 0.5, "part": 0.0, "other": 0.0, "unknown": unknown}
     found = _explained(case)
     assert (found.status is Status.UNKNOWN) is foreign
+
+
+@pytest.mark.parametrize(("right", "named"), [(0.84, False), (0.86, True)])
+def test_an_effect_alone_is_named_where_it_is_likely_enough(
+    one: _Case, right: float, named: bool
+) -> None:
+    """Below it is offered with its probability: of 32 such names of pairs 53897 to 54256 and their
+    partners between 0.72 and 0.85 seven were wrong."""
+    case = replace(one)
+    rest = 1.0 - right
+    case.__dict__["reliability"] = {"right": right, "part": 0.0, "other": 0.0, "unknown": rest}
+    found = _explained(case)
+    assert (found.status in (Status.NAMED, Status.NAMED_FORM_INADEQUATE)) is named
+    assert found.entries[0][0].fit.ids == one.search.best.fit.ids
 
 
 def test_what_is_named_in_any_case_is_seldom_all_there_is(two: _Case) -> None:
@@ -266,6 +280,15 @@ def test_effects_on_which_all_entries_agree_are_sure(two: _Case) -> None:
     assert found.sure == other.fit.ids
 
 
+def test_an_effect_in_whose_place_the_further_search_put_another_is_not_named(two: _Case) -> None:
+    """Ends that fill for threads that stretch, in set 758 of the stream `several`."""
+    first, other = two.search.best.fit.ids
+    whole = replace(refused(two), status=Status.NAMED)
+    found = _by_presence(two, whole, two.search, {first: 0.95})[1]
+    assert found.sure == (first,)
+    assert all(p < 0.01 for entry, p in found.entries if other in entry.fit.ids)
+
+
 @pytest.fixture(scope="module")
 def one(two: _Case) -> _Case:
     """The same bench with one effect alone in the explanation."""
@@ -278,19 +301,6 @@ def test_an_effect_that_takes_most_of_what_is_left_comes_beside_the_search(one: 
     further = with_further(one.problem, one.search, least)
     assert set(further.best.fit.ids) == set(TWO)
     assert further.left < one.search.left
-
-
-def test_an_effect_that_leaves_a_rest_must_be_likelier_to_be_named(one: _Case, two: _Case) -> None:
-    """Viscosity for a camera's delay that the catalogue had lost explained 95 % and was believed
-    with 0.77."""
-
-    def least(case: _Case, left_share: float) -> float:
-        left = case.chance + left_share * case.search.gap
-        return replace(case, search=replace(case.search, left=left)).least_reliability
-
-    assert least(one, 0.0) == least(one, 0.03) == DECISION.named
-    assert least(one, 0.05) == DECISION.named_with_rest > DECISION.named
-    assert least(two, 0.05) == DECISION.named_several
 
 
 def test_a_further_effect_is_named_only_where_it_is_sure(two: _Case, one: _Case) -> None:

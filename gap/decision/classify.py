@@ -88,20 +88,6 @@ class _Case:
         return shipped_reliability().of(self.traits)
 
     @property
-    def refused_from(self) -> float:
-        """Probability of an effect outside the catalogue from which the explanation is refused."""
-        several = len(self.search.best.fit.ids) > 1
-        return self.config.unknown_several if several else self.config.unknown
-
-    @property
-    def least_reliability(self) -> float:
-        """Least probability that the explanation is right, in full or in part, for a name."""
-        if len(self.search.best.fit.ids) > 1:
-            return self.config.named_several
-        whole = self.share >= self.config.whole_share
-        return self.config.named if whole else self.config.named_with_rest
-
-    @property
     def share(self) -> float:
         """Share of the gap that is explained; what chance may leave does not count as left."""
         left = max(self.search.left - self.chance, 0.0)
@@ -214,7 +200,7 @@ def _judged(case: _Case, further: SearchResult) -> _Case:
         return case
     gains = linear_gains(case.problem, further.best.fit).by_key()
     wider = replace(case, search=replace(further, last_gain=gains))
-    most = min(wider.refused_from, case.reliability["unknown"])
+    most = min(case.config.unknown, case.reliability["unknown"])
     return wider if wider.reliability["unknown"] < most else case
 
 
@@ -322,7 +308,7 @@ def _explained(case: _Case) -> _Finding:
             "traits": case.traits,
         },
     )  # fmt: skip
-    if reliability["unknown"] > case.refused_from:
+    if reliability["unknown"] > config.unknown:
         return finding
     drift = remaining_drift(problem, fit)
     if drift is not None:
@@ -345,7 +331,7 @@ def _explained(case: _Case) -> _Finding:
     status, why = _status(case, entries, *alike)
     right, partly = reliability["right"], reliability["right"] + reliability["part"]
     several = len(fit.ids) > 1
-    unlikely = partly < case.least_reliability
+    unlikely = partly < (config.named_several if several else config.named)
     if status in NAMED and (unlikely or (several and right < config.named_all)):
         status = Status.INDISTINGUISHABLE
         why = reason(Cause.UNRELIABLE, names=names, percent=100 * right)
@@ -587,7 +573,9 @@ def _all_there_is(
     beyond = max(1.0 - there, config.beyond_presence * case.reliability["unknown"])
     others = [name for name in whole.fit.ids if name not in named.fit.ids]
     few = len(named.fit.ids) < config.many
-    own = {name: _beside(odds[name], config) if few else odds[name] for name in others}
+    # What the search for further effects has put another in the place of is rather not there.
+    there_by = {name: odds.get(name, 0.0) for name in others}
+    own = {name: _beside(p, config) if few else p for name, p in there_by.items()}
     sets = {
         with_these: float(np.prod([p if n in with_these else 1.0 - p for n, p in own.items()]))
         for count in range(len(others) + 1)
