@@ -29,7 +29,9 @@ from gap.model.features import BLOCKS
 from gap.model.grid import Grid, make_grid
 from gap.reason import Cause, Reason
 from gap.reporting.empirical import empirical_figure, empirical_lines, empirical_sentences
+from gap.validation.config import VALIDATION
 from gap.validation.empirical import empirical_term
+from gap.validation.terms.search import search_of
 from gap.verdict import Status, Verdict
 from gap_bench import write_set
 from plant.constants import PlantConstants, nominal
@@ -246,6 +248,25 @@ def test_a_prediction_that_follows_no_reading_keeps_all_of_the_gauge_s_error(
     followed = shown_too_much(grid, error[:, None], c, followed=True)[:, 0]
     assert np.all(followed <= 5.0)
     assert followed.min() < 0.1
+
+
+@pytest.mark.parametrize(("share", "is_one"), [(0.04, True), (0.97, False)])
+def test_a_gauge_whose_reading_is_all_error_is_none(
+    share: float, is_one: bool, valve_problem: FitProblem
+) -> None:
+    """Pulses that the plant takes for too short fill the muscle: no pressure was predicted."""
+    open_gap = replace(valve_problem.base, residual=np.full(len(valve_problem.rows), 50.0))
+    first = search_of(valve_problem, open_gap, "pressure", VALIDATION)
+    assert first is not None
+    gauge = next(p for p in first.pieces if p.scale == READING and p.inputs == ("pressure_kpa",))
+    residual = np.zeros(len(valve_problem.rows))
+    here = valve_problem.rows.block == BLOCKS.index("pressure")
+    residual[here] = first.basis[:, gauge.at] @ (share * np.array(gauge.knots[0]))
+    fit = replace(valve_problem.base, residual=residual)
+    search = search_of(valve_problem, fit, "pressure", VALIDATION, first)
+    assert search is not None
+    assert search._leaves_a_gauge([gauge], frozenset()) is is_one
+    assert is_one or all(piece is not gauge for piece in search.select())
 
 
 def test_nothing_passes_a_valve_that_is_commanded_shut_before_it_has_opened(

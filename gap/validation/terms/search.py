@@ -35,11 +35,13 @@ from gap.validation.terms.pieces import (
 from gap.validation.terms.refit import FittedTerm, TermColumns, fitted_with_term
 from gap.validation.terms.waves import Wave, WaveRows, waves_of
 from plant.arrays import Array
-from plant.effects.empirical import CELL, IN_GAS, INPUTS, SCALE_INPUTS
+from plant.effects.empirical import CELL, IN_GAS, INPUTS, READING, SCALE_INPUTS
 
 _RATE = "pressure_rate_kpa_s"
 HALF = 0.5
 """Share of a gap from which it counts as closed."""
+_STEEPEST = 0.5
+"""Most that the error of a gauge may rise with its reading, kPa/kPa. A matter of definition."""
 
 
 @dataclass
@@ -144,7 +146,8 @@ class TermSearch:
             gain, sure = gain_and_errors(errors, after)
             # One slot alone may hold most of a gap: no number of standard errors shows it then.
             enough = sure > self.config.term_errors or gain > HALF * self.gap(without)
-            if enough and gain > self.least_gain(without, bool(chosen)):
+            enough = enough and gain > self.least_gain(without, bool(chosen))
+            if enough and self._leaves_a_gauge([*chosen, piece], without):
                 tried.append((piece, after))
         if not tried:
             return None
@@ -174,6 +177,19 @@ class TermSearch:
                 float(one[1].sum()),
             ),
         )
+
+    def _leaves_a_gauge(self, chosen: Sequence[Piece], without: frozenset[int]) -> bool:
+        """Whether a gauge with the errors of some pieces would still measure the pressure.
+
+        An error as large as the reading stands for gas that has no pressure at all.
+        """
+        columns = self.columns(chosen)
+        for piece in chosen:
+            if piece.scale == READING and piece.inputs == ("pressure_kpa",):
+                own = self.terms.coefficients(columns, without)[np.isin(columns, piece.at)]
+                if (np.diff(own) > _STEEPEST * np.diff(piece.knots[0])).any():
+                    return False
+        return True
 
     def _needed(self, chosen: list[Piece], without: frozenset[int]) -> list[Piece]:
         """Pieces without which the error on slots left out rises for sure, or by much."""
