@@ -40,6 +40,9 @@ def shortening(form: float, length: float, p: float, c: Array) -> float:
         here = math.sqrt(max(b * b - length * length, 1.0))
         at = math.sqrt(b * b - STATED_MM * STATED_MM)
         return float(max(here - fitting, 0.0) / max(at - fitting, 1.0))
+    if form == 5.0:  # a factor on the contraction that falls with the pressure, kept by the ends
+        factor = 1.0 + 0.7 * math.exp(-max(p, 0.0) / 130.0)
+        return float(factor / (1.0 + 0.7 * math.exp(-FULL_KPA / 130.0)))
     # the bladder bridges the clamp, less so the harder it is blown up
     bridged = 1.0 - math.exp(-max(p, 0.0) / 170.0)
     return float(0.35 + 0.65 * bridged / (1.0 - math.exp(-FULL_KPA / 170.0)))

@@ -82,6 +82,8 @@ _TABLE: dict[str, tuple[tuple[str, str], ...]] = {
         ("s (D - D_f)/(D_60 - D_f)", "Tsagarakis and Caldwell, ICRA 2000 (truncated cones)"),
         ("s (0.35 + 0.65 (1 - exp(-p/170)))",
          "Kothera, Jangid, Sirohi and Wereley, J. Mech. Des. 131 (2009) 091010"),
+        ("s (1 + 0.7 exp(-p/130)), s at 500 kPa",
+         "Kerscher, Albiez, Zollner and Dillmann, BioRob 2006 (a factor that falls with p)"),
     ),
     "fibre_stretch": (
         ("p", "Davis, Tsagarakis, Canderle and Caldwell 2003"),
