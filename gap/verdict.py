@@ -320,10 +320,12 @@ class Verdict:
 
         Of a gap without a name, that of the channel whose term says what it looks like.
         """
-        if self.empirical is not None and self.status is Status.UNKNOWN:
-            for channel in self.channels:
-                if channel.unit == self.empirical.unit:
-                    return channel
+        term = self.empirical
+        if term is not None and self.status is Status.UNKNOWN:
+            # Force and load have one unit: the channel is the one that was as far off.
+            own = [channel for channel in self.channels if channel.unit == term.unit]
+            if own:
+                return min(own, key=lambda channel: abs(channel.recalibrated - term.recalibrated))
         return self.channels[0] if self.channels else self.gap
 
     def as_dict(self) -> dict[str, Any]:

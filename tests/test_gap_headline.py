@@ -16,7 +16,7 @@ from gap.data.trial import Channel
 from gap.decision.classify import _channels
 from gap.estimation.cross_validation import HeldOut
 from gap.reason import Cause, Reason
-from gap.reporting.text import gap_sentences
+from gap.reporting.text import gap_sentences, sentence
 from gap.verdict import Experiment, Explanation, Gap, Status, Verdict
 from rigs.rigfile.config import load_rig
 
@@ -106,3 +106,8 @@ def test_the_next_test_is_advised_on_the_rig_of_the_data(tmp_path: Path) -> None
         _next_text(verdict, "next.toml", rig)
     )
     assert _rig_of(tmp_path) == "", "a data set of others names no rig"
+
+
+def test_a_sentence_leaves_the_name_of_an_entry_as_it_is_spelt() -> None:
+    assert sentence("liner_threshold fits best") == "liner_threshold fits best."
+    assert sentence("a gap that no entry explains") == "A gap that no entry explains."

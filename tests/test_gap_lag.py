@@ -77,6 +77,5 @@ def behind_a_tube(folder: Path, seconds: float) -> DataSet:
 
 def test_a_gauge_behind_a_long_thin_tube_is_late_and_no_valve(tmp_path: Path) -> None:
     verdict = diagnose(behind_a_tube(tmp_path / "set", seconds=0.03))
-    assert verdict.effects
-    assert verdict.effects[0].ids == ("pressure_lag",)
-    assert verdict.status.startswith("named")
+    # Its form is not that of the catalogue: it may be offered with a probability.
+    assert [effect.ids for effect in verdict.effects] == [("pressure_lag",)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -127,6 +128,9 @@ def test_a_gauge_that_hums_gets_a_term_with_its_period_and_the_plant_file_takes_
         empirical=term, channels=channels,
     )  # fmt: skip
     assert verdict.headline_gap is channels[1]
+    alike = tuple(Gap("N", off, off, None, None, None) for off in (3.0, term.recalibrated))
+    of_load = replace(verdict, empirical=replace(term, unit="N"), channels=alike)
+    assert of_load.headline_gap is alike[1]
     assert "an addition that repeats every 0.137 s" in "\n".join(empirical_lines(verdict))
     assert verdict.as_dict()["empirical"]["terms"][0]["period"] == pytest.approx(RIPPLE_S, rel=3e-3)
     figure = empirical_figure(term)

@@ -74,8 +74,9 @@ def test_the_commands_of_the_page_make_what_it_says(
     assert pull.trials[0]["pressure_kpa"].value.mean() == pytest.approx(150.0, abs=0.5)
     spool = read_dataset(desk / "data" / "spool")
     assert spool.constants.valve == "proportional"
-    assert spool.trials[0]["inlet_cmd"].value.max() == pytest.approx(0.6)
-    assert spool.trials[0]["outlet_cmd"].value.max() == pytest.approx(0.4)
+    # 3 V of 5 to both sides; rows 10 ms apart miss the top of the sine by a little.
+    assert spool.trials[0]["inlet_cmd"].value.max() == pytest.approx(0.6, abs=1e-3)
+    assert spool.trials[0]["outlet_cmd"].value.max() == pytest.approx(0.6, abs=1e-3)
 
 
 def test_the_page_has_a_row_for_every_key() -> None:
@@ -129,7 +130,7 @@ def test_the_picture_names_every_channel_with_its_unit(
 ) -> None:
     monkeypatch.setitem(matplotlib.rcParams, "svg.fonttype", "none")
     for name, labels in (
-        ("log", ["pressure / kPa (gauge)", "force / N", "inlet / 0 or 1", "time / s"]),
+        ("log", ["pressure / kPa (gauge)", "force / N", "inlet / 0 to 1", "time / s"]),
         ("static", ["length / mm", "row of the table (no time)"]),
     ):
         picture = tmp_path / f"{name}.svg"
@@ -328,5 +329,7 @@ def test_a_foreign_file_is_diagnosed_as_the_data_set_that_it_is(
     monkeypatch.chdir(tmp_path)
     pamrig("pamrig import data rig.toml --out data", monkeypatch, capsys)
     told = json.loads(pamrig("pamrig gap diagnose data --json", monkeypatch, capsys))
-    assert told["status"] == str(diagnose(read_dataset(original)).status) == "named"
+    own = diagnose(read_dataset(original))
+    assert told["status"] == str(own.status)
+    assert [tuple(e["ids"]) for e in told["effects"]] == [e.ids for e in own.effects]
     assert told["effects"][0]["ids"] == ["liner_threshold"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -98,8 +99,11 @@ def _in_brackets(values: str) -> str:
 
 
 def sentence(text: str) -> str:
-    """Text with a capital and a full stop."""
+    """Text with a full stop, and a capital unless it begins with the name of an entry."""
     text = text.strip().rstrip(".,").replace(",; ", "; ")
+    first = re.match(r"\w*", text)
+    if first is not None and first[0] in CATALOGUE:
+        return text + "."
     return text[:1].upper() + text[1:] + "."
 
 

@@ -210,7 +210,10 @@ def rivals_in_best_form(
     linear: LinearGains,
     config: SelectionConfig = SELECTION,
 ) -> list[Hypothesis]:
-    """Best first; the leading ones in their best form, so that none leads by a lucky shape."""
+    """Best first; the leading ones in their best form and fitted to the end.
+
+    None leads by a lucky shape then, or follows because its descent stopped early.
+    """
     tried = sorted(tried, key=lambda hypothesis: hypothesis.cost)
     near = max(
         near_cost(problem, tried[0].cost, config),
@@ -220,6 +223,7 @@ def rivals_in_best_form(
     made = [
         _in_whole_form(problem, in_best_form(problem, before, h, linear), config) for h in leading
     ]
+    made = [Hypothesis(h.keys, problem.polish(h.fit)) for h in made]
     return sorted(made + tried[len(leading) :], key=lambda hypothesis: hypothesis.cost)
 
 
