@@ -107,30 +107,30 @@ def slots_for(need: str, count: int, rng: Rng, h: Habits, table: bool) -> list[T
     return [some[i] for i in rng.permutation(len(some))]
 
 
-def draw_design(rng: Rng, needs: list[str], changed: bool, table: bool, small: bool) -> Design:
-    """Draw a set that can show each of `needs`."""
-    keys = muscle_keys(rng, changed)
-    stated = with_keys(nominal(), keys)
-    true = true_constants(rng, stated)
-    h = habits(rng, stated, changed)
-    replicates = 3 if rng.random() < 0.7 else 4
-    most = 16 if small else int(rng.choice([18, 24, 33, 44]))
-    count = max(most // replicates, 4)
+def slots_of(rng: Rng, needs: list[str], count: int, h: Habits, table: bool) -> list[Trial]:
+    """So many slots in all, shared out evenly to what the set must be able to show."""
     slots: list[Trial] = []
     for need in needs:
         share = count - len(slots) if need == needs[-1] else count // len(needs)
         slots += slots_for(need, share, rng, h, table)
+    return slots
+
+
+def sequence(rng: Rng, slots: list[Trial], replicates: int) -> list[Trial]:
+    """All trials in the order in which they are run: replicates follow each other, and one or two
+    of each slot come after a new mounting.
+    """
     trials: list[Trial] = []
     clock, order = float(rng.uniform(0.0, 3000.0)), int(rng.integers(1, 20))
     mountings = 2
     at = 0
     for mounting in range(mountings):
-        sequence = list(enumerate(slots))
+        turns = list(enumerate(slots))
         if mounting:
-            sequence = [sequence[i] for i in rng.permutation(len(sequence))]
+            turns = [turns[i] for i in rng.permutation(len(turns))]
         first = replicates - 1 if replicates == 3 else 2
         times = first if mounting == 0 else replicates - first
-        for index, one in sequence:
+        for index, one in turns:
             for k in range(times):
                 replicate = k + 1 + (0 if mounting == 0 else first)
                 at += 1
@@ -143,6 +143,30 @@ def draw_design(rng: Rng, needs: list[str], changed: bool, table: bool, small: b
                 clock += one.duration_s + float(rng.uniform(20.0, 60.0))
                 order += int(rng.integers(1, 4))
         clock += 3600.0
+    return trials
+
+
+def other_trials(rng: Rng, design: Design, needs: list[str]) -> Design:
+    """The same bench and habits with other slots, as many as before."""
+    count = len({trial.slot for trial in design.trials})
+    replicates = max(trial.replicate for trial in design.trials)
+    slots = slots_of(rng, needs, count, design.habits, design.table)
+    trials = sequence(rng, slots, replicates)
+    measured = design.temperature_channel or any(t.temperature_c != 21.0 for t in trials)
+    return replace(design, trials=tuple(trials), temperature_channel=measured)
+
+
+def draw_design(rng: Rng, needs: list[str], changed: bool, table: bool, small: bool) -> Design:
+    """Draw a set that can show each of `needs`."""
+    keys = muscle_keys(rng, changed)
+    stated = with_keys(nominal(), keys)
+    true = true_constants(rng, stated)
+    h = habits(rng, stated, changed)
+    replicates = 3 if rng.random() < 0.7 else 4
+    most = 16 if small else int(rng.choice([18, 24, 33, 44]))
+    count = max(most // replicates, 4)
+    slots = slots_of(rng, needs, count, h, table)
+    trials = sequence(rng, slots, replicates)
     warm = any(t.temperature_c != 21.0 for t in trials)
     return Design(
         stated, true, keys, tuple(trials), h, table,

@@ -13,7 +13,7 @@ from functools import cache
 
 import numpy as np
 
-from blind.design import Design, draw_design
+from blind.design import Design, draw_design, other_trials
 from blind.mimic import measure
 from blind.noise import Noise, draw_noise
 from blind.physics import numbers as n
@@ -219,6 +219,13 @@ def blind_set(stream: str, number: int, small: bool = False, held_out: bool = Fa
     return BlindSet(
         stream, number, kind, design, noise, tuple(hidden), defect, aim, without, measured
     )
+
+
+def other_data(one: BlindSet, seed: int) -> BlindSet:
+    """The same bench with the same hidden effects and other trials: to judge what was learnt."""
+    rng = np.random.default_rng(np.random.SeedSequence([STREAMS[one.stream], one.number, 2, seed]))
+    needs = [hidden.entry.needs for hidden in one.hidden] or ["stage"]
+    return replace(one, design=other_trials(rng, one.design, needs))
 
 
 def answer(one: BlindSet) -> dict[str, object]:

@@ -18,7 +18,7 @@ from blind.physics.entries import CATALOGUE, Hidden
 from blind.recalibrate import Recalibration
 from blind.recording import record
 from blind.seal import opened, seal
-from blind.sets import BLOCK, MAGNITUDES, answer, blind_set, choose, kind_and_count
+from blind.sets import BLOCK, MAGNITUDES, answer, blind_set, choose, kind_and_count, other_data
 from blind.standin import stand_in
 
 COLUMNS = {
@@ -45,6 +45,19 @@ def test_the_same_number_gives_the_same_set_to_the_bit(single) -> None:
 def test_other_streams_hide_other_things_under_the_same_number(single) -> None:
     other = blind_set("practice", single.number, small=True)
     assert not record(other).samples.equals(record(single).samples)
+
+
+def test_other_data_of_a_set_are_of_the_same_bench_with_other_slots(single) -> None:
+    """What was learnt on the one can be judged on the other."""
+    first, second = other_data(single, 0), other_data(single, 1)
+    assert first.hidden == second.hidden == single.hidden
+    for one in (first, second):
+        np.testing.assert_array_equal(one.design.true, single.design.true)
+        assert len({t.slot for t in one.design.trials}) == len(
+            {t.slot for t in single.design.trials}
+        )
+    made = [record(one).samples for one in (single, first, second)]
+    assert not any(made[i].equals(made[j]) for i, j in ((0, 1), (0, 2), (1, 2)))
 
 
 @pytest.mark.parametrize("kind", ["nominal", "single", "unfit"])
