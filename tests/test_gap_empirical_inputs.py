@@ -42,6 +42,7 @@ from plant.effects.empirical import (
     LATE,
     OUTLET_FLOW,
     READING,
+    SEEN,
     SHORT_PULSES,
     Correction,
     Corrections,
@@ -335,6 +336,44 @@ def test_an_error_of_a_force_cell_is_told_from_one_of_the_muscle_by_the_load(
     assert list(term.shares) == ["history"]
     told = Verdict(Status.UNKNOWN, Reason(Cause.NO_GAP), "sensor", (), 0.1, 0.9, empirical=term)
     assert "error of the force cell's reading" in " ".join(empirical_lines(told))
+
+
+def test_what_a_camera_shows_too_much_is_missing_only_where_it_was_read(tmp_path: Path) -> None:
+    """0.5 mm too much: as if all that was read, and nothing that was held, were shorter by it."""
+    folder = write_set(tmp_path / "data", {}, weighed=True)
+    data = read_dataset(folder)
+    shown = Correction("force", (SplineTerm((), (), (0.5,), SEEN),))
+    stated = FitProblem.of(replace(data, corrections=Corrections({"force": shown})))
+    plain = FitProblem.of(data)
+    samples = pd.read_parquet(folder / "samples.parquet")
+    samples["length_mm"] -= 0.5
+    samples.to_parquet(folder / "samples.parquet", index=False)
+    shorter = FitProblem.of(read_dataset(folder))
+    added, expected = (
+        one.model.residual(data.constants, plain.base.active, ("force",))["force"]
+        - plain.model.residual(data.constants, plain.base.active, ("force",))["force"]
+        for one in (stated, shorter)
+    )
+    assert np.abs(expected).max() > 1.0
+    assert added == pytest.approx(expected, abs=0.01)
+    rows = plain.rows.trial[plain.rows.block == BLOCKS.index("force")]
+    held = [k for k, trial in enumerate(data.trials) if trial.protocol != "isotonic"]
+    assert np.abs(added[np.isin(rows, held)]).max() == 0.0
+
+
+def test_a_scale_of_the_camera_is_found_as_an_error_of_what_it_reads(tmp_path: Path) -> None:
+    """8 % of the distance from 62 mm, under loads that a cell weighs; held lengths are right."""
+    folder = write_set(tmp_path / "data", {}, weighed=True)
+    samples = pd.read_parquet(folder / "samples.parquet")
+    samples["length_mm"] += 0.08 * (samples["length_mm"] - 62.0)
+    samples.to_parquet(folder / "samples.parquet", index=False)
+    problem = FitProblem.of(read_dataset(folder))
+    term = empirical_term(problem, problem.base)
+    assert term is not None
+    assert [(t.scale, t.inputs) for t in term.correction.terms] == [(SEEN, ("length_mm",))]
+    assert term.closed > 0.9
+    told = Verdict(Status.UNKNOWN, Reason(Cause.NO_GAP), "sensor", (), 0.1, 0.9, empirical=term)
+    assert "error of the length that the camera reads" in " ".join(empirical_lines(told))
 
 
 def test_a_valve_s_share_of_the_time_is_that_between_its_turns() -> None:

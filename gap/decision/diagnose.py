@@ -173,7 +173,8 @@ def with_empirical_term(verdict: Verdict, problem: FitProblem, search: SearchRes
     ids = {s.key: s.id for s in problem.candidates if not s.defect}
     gains = sorted((k for k in search.first_gain if k in ids), key=lambda k: -search.first_gain[k])
     near = list(dict.fromkeys(ids[k] for k in gains if ids[k] not in fit.ids))[:_NEAREST]
-    return replace(verdict, empirical=empirical_term(problem, fit, near))
+    refused = None if verdict.status.explained else search.best.fit
+    return replace(verdict, empirical=empirical_term(problem, fit, near, refused=refused))
 
 
 _SCALE_AT = (0.05, 1.0 / 3.0, 2.0 / 3.0, 1.0)

@@ -26,6 +26,7 @@ from plant.effects.empirical import (
     LATE,
     OUTLET_FLOW,
     READING,
+    SEEN,
     SHORT_PULSES,
     VALVE_FLOW,
     Correction,
@@ -395,9 +396,16 @@ def waves_at(grid: Grid, block: str, name: str, period: float) -> Array:
 
 
 def scales_of(grid: Grid, block: str, c: PlantConstants) -> dict[str, Array]:
-    """What the braid of constants `c` says at every row of a block: see `braid_scales`."""
+    """What the braid of constants `c` says at every row of a block: see `braid_scales`.
+
+    "seen" is what the force errs by where the camera shows 1 mm too much: nothing where the length
+    was held at a stated one.
+    """
     here = grid.rows.block == BLOCKS.index(block)
-    return braid_scales(grid.rows.pressure[here], grid.rows.length[here], c)
+    made = braid_scales(grid.rows.pressure[here], grid.rows.length[here], c)
+    points = grid.points[block]
+    read = _means(points, np.where(points.held, 0.0, 1.0))
+    return made | {SEEN: np.asarray(-made["pull_per_mm"] * read)}
 
 
 def _means(points: Points, raw: Array) -> Array:

@@ -42,6 +42,7 @@ _SCALED = {
     "short_pulses": "share of short commands that passes",
     "reading": "gauge shows too much, kPa",
     "cell": "force cell shows too much, N",
+    "seen": "camera shows too much, mm",
 }
 _KINDS = {
     "": "an addition",
@@ -60,6 +61,7 @@ _KINDS = {
     "short_pulses": "commands that pass although they are too short for their valve",
     "reading": "an error of the gauge's reading",
     "cell": "an error of the force cell's reading",
+    "seen": "an error of the length that the camera reads",
 }
 
 

@@ -38,7 +38,8 @@ def blocks_with_gap(problem: FitProblem, fit: FitResult) -> list[str]:
 
     The camera counts least: what it shows of a held length is no part of the plant. A block that
     constants fitted to it alone explain is left out, if there is another that they do not: its gap
-    is that of constants which the other has led astray.
+    is that of constants which the other has led astray. Where nothing can be held out of that
+    other, all are left.
     """
     excess = {
         name: _excess(problem, fit.residual, number) * (_CAMERA if name == "camera" else 1.0)
@@ -49,7 +50,13 @@ def blocks_with_gap(problem: FitProblem, fit: FitResult) -> list[str]:
         return shown
     columns = problem.columns_of(fit)[:, : len(fit.shift)]
     own = [b for b in shown if _has_own_gap(problem, fit, BLOCKS.index(b), columns)]
-    return own or shown
+    return own if any(_slots(problem, b) >= VALIDATION.least_slots for b in own) else shown
+
+
+def _slots(problem: FitProblem, block: str) -> int:
+    """Number of slots that have a block."""
+    here = problem.rows.block == BLOCKS.index(block)
+    return len(np.unique(problem.units[problem.rows.trial[here]]))
 
 
 _CAMERA = 0.2
@@ -83,17 +90,18 @@ def _has_own_gap(problem: FitProblem, fit: FitResult, block: int, columns: Array
 
 def empirical_term(
     problem: FitProblem, fit: FitResult, nearest: Sequence[str] = (), block: str | None = None,
-    config: ValidationConfig = VALIDATION,
+    config: ValidationConfig = VALIDATION, refused: FitResult | None = None,
 ) -> EmpiricalTerm | None:  # fmt: skip
     """The term for what `fit` leaves; None where none closes a part of the gap for sure.
 
     Args:
         nearest: ids of entries of the catalogue to compare the term with.
         block: of features; by default the one with the largest gap of which a part closes.
+        refused: an explanation that got no name; at its constants the gap may be seen whole.
     """
     walled = within_walls(problem, fit)
     for name in [block] if block else blocks_with_gap(problem, walled):
-        found = _term_of(problem, fit, walled, name, nearest, config)
+        found = _term_of(problem, fit, walled, name, nearest, config, refused)
         if found is not None:
             return found
     return None
@@ -101,13 +109,13 @@ def empirical_term(
 
 def _term_of(
     problem: FitProblem, fit: FitResult, walled: FitResult, block: str, nearest: Sequence[str],
-    config: ValidationConfig,
+    config: ValidationConfig, refused: FitResult | None,
 ) -> EmpiricalTerm | None:  # fmt: skip
     first = search_of(problem, fit, block, config, walled=walled)
     if first is None:
         return None
     found: list[_Found] = []
-    for search in _searches(problem, first):
+    for search in _searches(problem, first, refused):
         chosen = search.select()
         held = _held_out(problem, search) if chosen else None
         closed = held.closed() if held is not None else None
@@ -135,29 +143,48 @@ def _simplest(found: Sequence[_Found], alike_share: float) -> _Found:
     """What depends on the fewest inputs of those that close about as much as the best."""
     least = (1.0 - alike_share) * max(one.closed for one in found)
     alike = [one for one in found if one.closed >= least]
-    return min(alike, key=lambda one: (len(groups_of(one.chosen)), -one.closed))
+
+    def simplicity(one: _Found) -> tuple[int, int, float]:
+        refused = sum(one.search.is_refused(piece) for piece in one.chosen)
+        return refused, len(groups_of(one.chosen)), -one.closed
+
+    return min(alike, key=simplicity)
 
 
-def _searches(problem: FitProblem, first: TermSearch) -> Iterator[TermSearch]:
+def _searches(
+    problem: FitProblem, first: TermSearch, refused: FitResult | None
+) -> Iterator[TermSearch]:
     """Searches at the constants from which a term may be seen for what it is, likely ones first.
 
     A large gap may have led the constants so far astray that no fit with a term finds back: the
-    stated ones, from which the gap is the effect alone, are another start.
+    stated ones, from which the gap is the effect alone, are another start, and so are those of an
+    explanation that got no name.
     """
     back = _with_constants_back(problem, first)
     if back is not None:
         yield back
     if np.abs(first.fit.shift).max() > first.config.astray_sd:
-        at = problem.at(
-            np.zeros_like(first.fit.shift), first.fit.candidates, first.fit.amounts, first.fit
-        )
-        stated = search_of(problem, at, first.block, first.config, first)
-        if stated is not None:
-            from_stated = _with_constants_back(problem, stated)
-            if from_stated is not None:
-                yield from_stated
-            yield stated
+        yield from _starting_at(problem, first, np.zeros_like(first.fit.shift))
     yield first
+    if refused is not None and _moved(refused, first.fit) > first.config.moved_sd:
+        yield from _starting_at(problem, first, refused.shift)
+
+
+def _starting_at(problem: FitProblem, first: TermSearch, shift: Array) -> Iterator[TermSearch]:
+    """The searches that start at some constants, in sd."""
+    at = problem.at(shift, first.fit.candidates, first.fit.amounts, first.fit)
+    there = search_of(problem, at, first.block, first.config, first)
+    if there is None:
+        return
+    back = _with_constants_back(problem, there)
+    if back is not None:
+        yield back
+    yield there
+
+
+def _moved(fit: FitResult, other: FitResult) -> float:
+    """Largest difference of a constant between two fits, in sd."""
+    return float(np.abs(fit.shift - other.shift).max())
 
 
 def _closes(held: HeldOut, config: ValidationConfig) -> bool:
@@ -203,7 +230,7 @@ def _with_constants_back(problem: FitProblem, first: TermSearch) -> TermSearch |
         # The number of a term's columns counts as in a comparison of models (Schwarz 1978).
         each = float(np.log(len(problem.rows)))
         own, fitted = min(fits, key=lambda one: one[1].cost + len(one[0]) * each)
-        if np.abs(fitted.fit.shift - search.fit.shift).max() < config.moved_sd:
+        if _moved(fitted.fit, search.fit) < config.moved_sd:
             break
         there = search_of(problem, fitted.fit, search.block, config, first, (own, fitted))
         if there is None:

@@ -35,7 +35,7 @@ _SHORT = {
 }  # fmt: skip
 _BOTH_SIDES = 0.1
 """Share of its range that an input must have on either side of zero for zero to be its middle."""
-_SCALE_UNITS = {"pull": "", "pull_per_kpa": "kPa", "pull_per_mm": "mm"}
+_SCALE_UNITS = {"pull": "", "pull_per_kpa": "kPa", "pull_per_mm": "mm", "seen": "mm"}
 
 
 @dataclass(frozen=True)

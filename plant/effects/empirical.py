@@ -23,6 +23,8 @@ the share that passes of commands too short for their valve to move by its delay
 raised is forgotten with `FORGOTTEN_S`. With the scale "reading" its splines are what the gauge
 shows too much, in kPa: the gas itself is below the reading by as much. With "cell" those of a force
 are what its cell shows too much, in N: a load that hangs on it is below its reading by as much.
+With "seen" those of a force or load are what the camera shows too much, in mm: where the length was
+read, and not held at a stated one, the muscle is shorter by as much.
 
 A term with a `period` repeats in its first input: in the place of splines it has cosine and sine of
 that period and of half of it, in this order, and goes on beyond its knots, which say where it was
@@ -68,6 +70,8 @@ CELL = "cell"
 """Scale of a term of the force whose splines are what the force cell shows too much, N."""
 SCALES = ("pull", "pull_per_kpa", "pull_per_mm")
 """What the splines of a force can be multiplied by, all of the braid at a pressure and a length."""
+SEEN = "seen"
+"""Scale of a term of the force or load whose splines are what the camera shows too much, mm."""
 FLOW = "flow"
 """Scale of a term of the pressure whose splines are a flow into the chamber, mg/s."""
 VALVE_FLOW = "valve_flow"
@@ -93,10 +97,13 @@ SCALE_INPUTS: Mapping[str, tuple[str, ...]] = {
     "pull": ("pressure_kpa", "length_mm"),
     "pull_per_kpa": ("length_mm",),
     "pull_per_mm": ("pressure_kpa", "length_mm"),
+    SEEN: ("pressure_kpa", "length_mm"),
     **dict.fromkeys((*IN_GAS, CELL), ()),
 }
 """Inputs that a scale is itself made of; that of a flow is what the valves did before."""
-_SCALES_OF = {"force": (*SCALES, CELL), "load": SCALES, "pressure": IN_GAS, "camera": ()}
+_SCALES_OF = {
+    "force": (*SCALES, CELL, SEEN), "load": (*SCALES, SEEN), "pressure": IN_GAS, "camera": (),
+}  # fmt: skip
 FORGOTTEN_S = 5.0
 """Time constant with which the diagnosis draws a predicted pressure to the reading."""
 WAVES = 4
@@ -114,8 +121,8 @@ class SplineTerm:
     Attributes:
         knots: ascending, one tuple an input, in its unit.
         coefficients: one a product of splines, the last input running fastest.
-        scale: one of `SCALES` that the splines are multiplied by, one of `IN_GAS`, `CELL`, or ""
-            for none.
+        scale: one of `SCALES` that the splines are multiplied by, one of `IN_GAS`, `CELL`, `SEEN`,
+            or "" for none.
         period: with which it repeats in its first input, in that input's unit; 0 for splines.
     """
 
@@ -156,7 +163,8 @@ class Correction:
     @property
     def scales(self) -> tuple[str, ...]:
         """Scales that it needs."""
-        return tuple(name for name in SCALES if any(term.scale == name for term in self.terms))
+        own = (*SCALES, SEEN)
+        return tuple(name for name in own if any(term.scale == name for term in self.terms))
 
     @property
     def periods(self) -> tuple[tuple[str, float], ...]:

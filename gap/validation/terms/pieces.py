@@ -39,6 +39,7 @@ from plant.effects.empirical import (
     READING,
     SCALE_INPUTS,
     SCALES,
+    SEEN,
     SHORT_PULSES,
     VALVE_FLOW,
     columns_on,
@@ -70,6 +71,7 @@ _SCALED = (
     ("pull", "length_mm"), ("pull", "temperature_c"), ("pull", "order"), ("pull", "slip"),
     ("pull", "time_s"), ("pull", "change_1s_kpa"), ("pull", "change_10s_kpa"),
     (CELL, "time_s"), (CELL, "temperature_c"), (CELL, "order"),
+    (SEEN, "length_mm"), (SEEN, "velocity_mm_s"), (SEEN, "order"),
 )  # fmt: skip
 _FLOWS = (
     (FLOW, ("pressure_kpa",)), (FLOW, ("pressure_rate_kpa_s",)), (FLOW, ("velocity_mm_s",)),
@@ -106,6 +108,16 @@ _EVERY_MM = -1
 """In the place of a number of knots: as many as `_FINE_MM` asks for."""
 
 _Knots = tuple[tuple[float, ...], ...]
+_AS_ENTRY = {
+    ("force", "", ()): "force_zero",
+    ("force", CELL, ()): "force_zero",
+    ("force", "pull", ()): "force_gain",
+    ("pressure", "", ()): "pressure_zero",
+    ("pressure", "", ("pressure_kpa",)): "pressure_gain",
+    ("pressure", READING, ()): "pressure_zero",
+    ("pressure", READING, ("pressure_kpa",)): "pressure_gain",
+}
+"""Errors of a sensor that an entry of the catalogue has as well."""
 
 
 @dataclass(frozen=True)
@@ -154,6 +166,11 @@ def groups_of(pieces: Iterable[Piece]) -> frozenset[str]:
     return frozenset[str]().union(*(piece.groups for piece in pieces))
 
 
+def as_entry(block: str, piece: Piece) -> str:
+    """Id of the entry of the catalogue that says the same as a piece of a block; "" for none."""
+    return _AS_ENTRY.get((block, piece.scale, piece.inputs), "")
+
+
 def pieces_of(
     at: dict[str, Array], count: int, waves: Mapping[Wave, Array] = MappingProxyType({})
 ) -> tuple[tuple[Piece, ...], Array]:
@@ -172,7 +189,7 @@ def pieces_of(
     }
     single = [("", name) for name in varied] + [(s, name) for s, name in _SCALED if s in at]
     wanted: list[tuple[str, tuple[str, ...], int]] = [("", (), 0)]
-    wanted += [(scale, (), 0) for scale in (*SCALES, CELL) if scale in at]
+    wanted += [(scale, (), 0) for scale in (*SCALES, CELL, SEEN) if scale in at]
     wanted += [(scale, (name,), _most_knots(name, 1)) for scale, name in single]
     # A line carries to slots beyond the others' range, where splines go astray.
     wanted += [(scale, (name,), 2) for scale, name in single if name != "since_edge_s"]

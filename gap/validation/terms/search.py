@@ -26,6 +26,7 @@ from gap.validation.terms.pieces import (
     NO_FLOWS,
     FlowColumns,
     Piece,
+    as_entry,
     columns_in_load,
     groups_of,
     pieces_of,
@@ -35,7 +36,7 @@ from gap.validation.terms.pieces import (
 from gap.validation.terms.refit import FittedTerm, TermColumns, fitted_with_term
 from gap.validation.terms.waves import Wave, WaveRows, waves_of
 from plant.arrays import Array
-from plant.effects.empirical import CELL, IN_GAS, INPUTS, READING, SCALE_INPUTS
+from plant.effects.empirical import CELL, IN_GAS, INPUTS, READING, SCALE_INPUTS, SEEN
 
 _RATE = "pressure_rate_kpa_s"
 HALF = 0.5
@@ -57,6 +58,7 @@ class TermSearch:
             closed of its errors.
         gaps: squared errors of that plant on every slot, left out, beyond the floor.
         floors: squares of the floor on every slot.
+        refused: ids of the entries of the catalogue that the diagnosis has had to choose from.
     """
 
     block: str
@@ -69,6 +71,7 @@ class TermSearch:
     recalibrated: HeldOutTerms
     gaps: Array
     floors: Array
+    refused: frozenset[str]
     config: ValidationConfig
 
     def floor(self, without: frozenset[int]) -> float:
@@ -169,6 +172,7 @@ class TermSearch:
         return min(
             simple,
             key=lambda one: (
+                self.is_refused(one[0]),
                 len({INPUTS[name] for name in one[0].inputs} - known),
                 # What drives the gas makes its pressure change as well.
                 _RATE in one[0].inputs,
@@ -177,6 +181,10 @@ class TermSearch:
                 float(one[1].sum()),
             ),
         )
+
+    def is_refused(self, piece: Piece) -> bool:
+        """Whether an entry says the same that did not explain the gap: another is likelier."""
+        return as_entry(self.block, piece) in self.refused
 
     def _leaves_a_gauge(self, chosen: Sequence[Piece], without: frozenset[int]) -> bool:
         """Whether a gauge with the errors of some pieces would still measure the pressure.
@@ -218,7 +226,8 @@ class TermSearch:
                 p
                 for p in self.pieces
                 if set(p.inputs) <= names and p.groups <= groups and p.scale in ("", piece.scale)
-            ]
+                and not self.is_refused(p)
+            ]  # fmt: skip
             made += sorted(alone, key=lambda one: float(self.errors([one]).sum()))[:1]
         return list({id(piece): piece for piece in made}.values())
 
@@ -267,13 +276,9 @@ def search_of(
     """
     here = problem.rows.block == BLOCKS.index(block)
     count = int(here.sum())
-    scales: dict[str, Array] = {}
+    scales = _scales(problem, fit, block, count)
     flows = NO_FLOWS
     if block != "pressure":
-        if block in ("force", "load"):
-            scales = scales_of(problem.grid, block, problem.constants(fit.shift))
-        if block == "force" and "load" in problem.grid.points and weighed(problem.grid).any():
-            scales[CELL] = np.ones(count)
         at = inputs_of(problem.grid, block, MUSCLE_INPUTS) | scales
         pieces, columns = pieces_of(at, count, _waves(problem, fit, block, at, first))
     else:
@@ -323,9 +328,23 @@ def search_of(
     base = plain.errors(np.empty(0, dtype=np.int64))
     floor = floor_squares(problem, problem.units)[block][list(terms.slots)]
     made = TermSearch(
-        block, fit, pieces, columns, beside, flows, terms, plain, base - floor, floor, config
-    )
+        block, fit, pieces, columns, beside, flows, terms, plain, base - floor, floor,
+        frozenset(candidate.id for candidate in problem.candidates), config,
+    )  # fmt: skip
     return made if made.gaps.sum() > 0.0 else None
+
+
+def _scales(problem: FitProblem, fit: FitResult, block: str, count: int) -> dict[str, Array]:
+    """What parts of a force or load may be multiplied by, at every row of the block."""
+    if block not in ("force", "load"):
+        return {}
+    made = scales_of(problem.grid, block, problem.constants(fit.shift))
+    held = problem.grid.points[block].held
+    if held.all() or not held.any():  # nothing was read, or `pull_per_mm` says the same
+        del made[SEEN]
+    if block == "force" and "load" in problem.grid.points and weighed(problem.grid).any():
+        made[CELL] = np.ones(count)
+    return made
 
 
 def _waves(

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from gap.validation.config import VALIDATION
 from plant.arrays import Array
+from plant.effects.empirical import SEEN
 
 _LEAST_SHARE = 0.1
 """Share of the squares that a wave must take to be offered. A matter of definition."""
@@ -64,7 +65,10 @@ def waves_of(rows: WaveRows, at: Mapping[str, Array], wide: Mapping[str, Array])
         rows.residual[order], rows.weight[order], rows.trial[order], rows.slot[order]
     )
     made = []
-    for name, scale in (("time_s", ""), ("length_mm", ""), ("length_mm", "pull_per_mm")):
+    for name, scale in (
+        ("time_s", ""), ("length_mm", ""),
+        ("length_mm", "pull_per_mm"), ("length_mm", SEEN),
+    ):  # fmt: skip
         if name in at and (not scale or scale in at):
             shape = at[scale][order] if scale else np.ones(len(order))
             period = _period(ordered, at[name][order], wide[name][order], shape, name)
