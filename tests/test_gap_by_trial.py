@@ -106,7 +106,7 @@ def test_the_verdict_names_it_and_the_trial(verdict_of_one: Verdict) -> None:
     )
     assert any("1-1 4" in note and "m3/(s Pa)" in note for note in verdict_of_one.notes)
     assert verdict_of_one.probability_none == 0.0
-    assert headline(verdict_of_one).startswith("Leak differs between replicates")
+    assert headline(verdict_of_one).startswith("leak differs between replicates")
 
 
 def test_leaks_of_mountings_are_found_each(tmp_path: Path) -> None:

@@ -451,7 +451,7 @@ def test_the_headline_says_that_a_part_is_not_known() -> None:
     assert "whether anything else acts is not known" in headline(all_of_it)
     values = {"names": "wear", "percent": 95.0, "share": 99.0, "open": "leak"}
     beside = replace(verdict, reason=reason(Cause.PARTLY_OPEN, **values))
-    assert headline(beside).startswith("Wear (95 %), whatever else acts; with leak, whose amount")
+    assert headline(beside).startswith("wear (95 %), whatever else acts; with leak, whose amount")
 
 
 def test_an_effect_is_the_likelier_the_less_another_can_stand_for_it() -> None:

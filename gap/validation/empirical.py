@@ -121,7 +121,7 @@ def _term_of(
         closed = held.closed() if held is not None else None
         if held is None or closed is None or not _closes(held, config):
             continue
-        found.append(_Found(search, chosen, held, closed[0]))
+        found.append(_Found(search, chosen, held, closed[0], sum(map(search.is_refused, chosen))))
         if closed[0] > config.foretold_share:
             break
     if not found:
@@ -131,24 +131,20 @@ def _term_of(
 
 
 class _Found(NamedTuple):
-    """What one search has found, and the share of the gap that it closes."""
+    """What one search has found, the share of the gap that it closes, and pieces refused before."""
 
     search: TermSearch
     chosen: list[Piece]
     held: HeldOut
     closed: float
+    refused: int = 0
 
 
 def _simplest(found: Sequence[_Found], alike_share: float) -> _Found:
     """What depends on the fewest inputs of those that close about as much as the best."""
     least = (1.0 - alike_share) * max(one.closed for one in found)
     alike = [one for one in found if one.closed >= least]
-
-    def simplicity(one: _Found) -> tuple[int, int, float]:
-        refused = sum(one.search.is_refused(piece) for piece in one.chosen)
-        return refused, len(groups_of(one.chosen)), -one.closed
-
-    return min(alike, key=simplicity)
+    return min(alike, key=lambda one: (one.refused, len(groups_of(one.chosen)), -one.closed))
 
 
 def _searches(

@@ -27,6 +27,7 @@ from gap.model.features import BLOCKS
 from gap.validation.terms.held_out_terms import Whole
 from gap.validation.terms.waves import Wave
 from plant.arrays import Array
+from plant.effects.catalogue import CATALOGUE
 from plant.effects.empirical import (
     CELL,
     EDGES_LATE,
@@ -108,16 +109,17 @@ _EVERY_MM = -1
 """In the place of a number of knots: as many as `_FINE_MM` asks for."""
 
 _Knots = tuple[tuple[float, ...], ...]
-_AS_ENTRY = {
-    ("force", "", ()): "force_zero",
-    ("force", CELL, ()): "force_zero",
-    ("force", "pull", ()): "force_gain",
-    ("pressure", "", ()): "pressure_zero",
-    ("pressure", "", ("pressure_kpa",)): "pressure_gain",
-    ("pressure", READING, ()): "pressure_zero",
-    ("pressure", READING, ("pressure_kpa",)): "pressure_gain",
+ZERO, GAIN = "zero", "gain"
+_ERRORS = {
+    ("force", "", ()): ZERO,
+    ("force", CELL, ()): ZERO,
+    ("force", "pull", ()): GAIN,
+    ("pressure", "", ()): ZERO,
+    ("pressure", "", ("pressure_kpa",)): GAIN,
+    ("pressure", READING, ()): ZERO,
+    ("pressure", READING, ("pressure_kpa",)): GAIN,
 }
-"""Errors of a sensor that an entry of the catalogue has as well."""
+"""Parts that are an error of the sensor itself, by block, scale and inputs."""
 
 
 @dataclass(frozen=True)
@@ -166,9 +168,21 @@ def groups_of(pieces: Iterable[Piece]) -> frozenset[str]:
     return frozenset[str]().union(*(piece.groups for piece in pieces))
 
 
-def as_entry(block: str, piece: Piece) -> str:
-    """Id of the entry of the catalogue that says the same as a piece of a block; "" for none."""
-    return _AS_ENTRY.get((block, piece.scale, piece.inputs), "")
+def error_of_sensor(block: str, piece: Piece) -> str:
+    """`ZERO` or `GAIN` where a piece of a block is such an error of its sensor, else ""."""
+    return _ERRORS.get((block, piece.scale, piece.inputs), "")
+
+
+def errors_of_entries(block: str, ids: Iterable[str]) -> frozenset[str]:
+    """The same of the entries of the catalogue that are errors of the sensor of a block."""
+    made: set[str] = set()
+    for effect in (CATALOGUE[name] for name in ids if name in CATALOGUE):
+        read = {"force": effect.sensors.force, "pressure": effect.sensors.pressure}.get(block)
+        if read is not None:
+            gain, zero = read(1.0)
+            made |= {GAIN} if gain else set()
+            made |= {ZERO} if zero else set()
+    return frozenset(made)
 
 
 def pieces_of(

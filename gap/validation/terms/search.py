@@ -26,8 +26,9 @@ from gap.validation.terms.pieces import (
     NO_FLOWS,
     FlowColumns,
     Piece,
-    as_entry,
     columns_in_load,
+    error_of_sensor,
+    errors_of_entries,
     groups_of,
     pieces_of,
     raised,
@@ -58,7 +59,8 @@ class TermSearch:
             closed of its errors.
         gaps: squared errors of that plant on every slot, left out, beyond the floor.
         floors: squares of the floor on every slot.
-        refused: ids of the entries of the catalogue that the diagnosis has had to choose from.
+        refused: errors of the block's sensor that entries of the catalogue say, and that the
+            diagnosis has had to choose from; see `error_of_sensor`.
     """
 
     block: str
@@ -71,8 +73,8 @@ class TermSearch:
     recalibrated: HeldOutTerms
     gaps: Array
     floors: Array
-    refused: frozenset[str]
     config: ValidationConfig
+    refused: frozenset[str] = frozenset()
 
     def floor(self, without: frozenset[int]) -> float:
         """Squares of the floor on the slots that are not `without`."""
@@ -184,7 +186,7 @@ class TermSearch:
 
     def is_refused(self, piece: Piece) -> bool:
         """Whether an entry says the same that did not explain the gap: another is likelier."""
-        return as_entry(self.block, piece) in self.refused
+        return error_of_sensor(self.block, piece) in self.refused
 
     def _leaves_a_gauge(self, chosen: Sequence[Piece], without: frozenset[int]) -> bool:
         """Whether a gauge with the errors of some pieces would still measure the pressure.
@@ -328,8 +330,8 @@ def search_of(
     base = plain.errors(np.empty(0, dtype=np.int64))
     floor = floor_squares(problem, problem.units)[block][list(terms.slots)]
     made = TermSearch(
-        block, fit, pieces, columns, beside, flows, terms, plain, base - floor, floor,
-        frozenset(candidate.id for candidate in problem.candidates), config,
+        block, fit, pieces, columns, beside, flows, terms, plain, base - floor, floor, config,
+        errors_of_entries(block, {candidate.id for candidate in problem.candidates}),
     )  # fmt: skip
     return made if made.gaps.sum() > 0.0 else None
 
