@@ -96,7 +96,8 @@ def _bench(path: Path) -> tuple[PlantConstants, Effects, Corrections]:
         stated.check_actuator(constants, f"{path} effects")
         return constants, stated, corrections
     except PlantError as exc:
-        raise GapError(str(path), str(exc).removeprefix(f"{path}: ")) from exc
+        said = str(exc).removeprefix(str(path)).removeprefix(":").strip()
+        raise GapError(str(path), said) from exc
 
 
 def _toml(path: Path) -> dict[str, Any]:
