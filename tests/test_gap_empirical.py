@@ -358,7 +358,7 @@ def test_what_an_entry_says_that_did_not_explain_the_gap_is_the_last_choice(
     assert search.is_refused(offset) is not struck
     chosen = search.select()
     assert chosen
-    assert any(search.is_refused(piece) for piece in chosen) is False
+    assert not any(search.is_refused(piece) for piece in chosen)
     assert (chosen == [offset]) is struck
     assert (search.shares(chosen) == {}) is struck
 

@@ -27,7 +27,7 @@ from gap.check.campaign import parse_numbers, read_results
 from gap.check.scoring.inputs import inputs_right
 from gap.check.scoring.score import size_of
 from gap.data.reader import read_dataset
-from gap.decision.diagnose import diagnose_with_search
+from gap.decision.diagnose import diagnose_with_search, fit_below_term
 from gap.errors import CheckError
 from gap.estimation.cross_validation import floor_squares
 from gap.estimation.fit_problem import FitProblem
@@ -52,8 +52,7 @@ def scored(number: int) -> dict[str, Any]:
         line = line_of(number, answer(one), verdict.as_dict())
         term = verdict.empirical
         if line["counts"] and term is not None and problem is not None and search is not None:
-            fit = search.best.fit if verdict.status.explained else problem.base
-            plant = improved_plant(problem, fit, term)
+            plant = improved_plant(problem, fit_below_term(verdict, problem, search), term)
             block = term.correction.block
             line["closed_anew"] = [
                 closed_anew(one, seed, plant, block, folder.with_name(f"anew{seed}"))

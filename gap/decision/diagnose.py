@@ -164,12 +164,17 @@ def has_sure_effect(verdict: Verdict) -> bool:
 _NEAREST = 3
 
 
+def fit_below_term(verdict: Verdict, problem: FitProblem, search: SearchResult) -> FitResult:
+    """The fit that an empirical term of the verdict is added to."""
+    return search.best.fit if verdict.status.explained else problem.base
+
+
 def with_empirical_term(verdict: Verdict, problem: FitProblem, search: SearchResult) -> Verdict:
     """The verdict with what the gap looks like that it has no name, or no adequate form, for."""
     if verdict.status not in (Status.UNKNOWN, Status.NAMED_FORM_INADEQUATE):
         return verdict
     stage("what the gap looks like")
-    fit = search.best.fit if verdict.status.explained else problem.base
+    fit = fit_below_term(verdict, problem, search)
     ids = {s.key: s.id for s in problem.candidates if not s.defect}
     gains = sorted((k for k in search.first_gain if k in ids), key=lambda k: -search.first_gain[k])
     near = list(dict.fromkeys(ids[k] for k in gains if ids[k] not in fit.ids))[:_NEAREST]

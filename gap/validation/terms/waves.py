@@ -66,8 +66,7 @@ def waves_of(rows: WaveRows, at: Mapping[str, Array], wide: Mapping[str, Array])
     )
     made = []
     for name, scale in (
-        ("time_s", ""), ("length_mm", ""),
-        ("length_mm", "pull_per_mm"), ("length_mm", SEEN),
+        ("time_s", ""), ("length_mm", ""), ("length_mm", "pull_per_mm"), ("length_mm", SEEN),
     ):  # fmt: skip
         if name in at and (not scale or scale in at):
             shape = at[scale][order] if scale else np.ones(len(order))
