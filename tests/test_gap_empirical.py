@@ -9,6 +9,8 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +18,7 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+from cli.gap.verdicts import shrink_command
 from cli.main import app
 from gap.check.empirical import line_of, totals
 from gap.check.scoring.inputs import TRUE_INPUTS, inputs_right
@@ -31,7 +34,7 @@ from gap.validation.config import VALIDATION
 from gap.validation.empirical import _closes, _searches, empirical_term
 from gap.validation.improved_plant import improved_plant
 from gap.validation.terms.search import search_of
-from gap.verdict import EmpiricalTerm, Status, Verdict
+from gap.verdict import EmpiricalTerm, Explanation, Status, Verdict
 from gap_bench import write_set
 from plant.constants import nominal
 from plant.effects.effects import NONE
@@ -463,3 +466,24 @@ def test_a_line_is_offered_beside_the_splines_of_an_input_and_they_hold_it(tmp_p
     assert not line.holds(splines)
     alone = search.within([splines, line], frozenset({"pressure"}))
     assert splines in alone
+
+
+def test_a_term_beside_effects_that_the_verdict_does_not_stand_by_stays_out_of_the_plant(
+    tmp_path: Path,
+) -> None:
+    """It was fitted together with both; of the two the verdict names one."""
+    problem, _ = term_of(planted_set(tmp_path / "data", waves))
+    fit = problem.fit_effects(["force_zero", "force_gain"])
+    term = empirical_term(problem, fit)
+    assert term is not None
+    values = {"names": "force_zero", "percent": 95.0, "share": 60.0, "rest": "the rest"}
+    verdict = Verdict(
+        Status.NAMED_FORM_INADEQUATE, Reason(Cause.PARTLY, values), "sensor",
+        (Explanation(("force_zero",), "force_sensor", 0.95),), 0.0, 0.05, empirical=term,
+    )  # fmt: skip
+    answer = SimpleNamespace(verdict=verdict, problem=problem, fit=fit)
+    out = tmp_path / "plant.toml"
+    shrink_command(cast(Any, SimpleNamespace(answer=lambda: answer)), out, False)
+    written = out.read_text(encoding="utf-8")
+    assert "[empirical" not in written
+    assert "[effects" not in written

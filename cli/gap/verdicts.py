@@ -134,13 +134,15 @@ def shrink_command(question: Question, out: Path | None, as_json: bool) -> None:
         and bool(verdict.effects)
         and set(problem.fitted(verdict.effects[0].ids)) == set(fit.ids)
     )
+    # A term that was fitted beside such effects does not hold without them.
+    term = verdict.empirical if named or not verdict.status.explained else None
     found: dict[str, Any] = {}
     if problem is not None and fit is not None:
         kept = fit if named else problem.base
         found = plain(shrinkage(problem, kept, named))
         if out is not None:
             folder = out.absolute().parent
-            write_text(out, improved_text(problem, kept, folder, verdict.empirical))
+            write_text(out, improved_text(problem, kept, folder, term))
     written = out if found else None
     if as_json:
         print_json(
@@ -155,7 +157,7 @@ def shrink_command(question: Question, out: Path | None, as_json: bool) -> None:
     lines += as_lines(found) if found else []
     lines += empirical_lines(verdict)
     if written is not None:
-        plant = "improved" if named or verdict.empirical else "recalibrated"
+        plant = "improved" if named or term else "recalibrated"
         lines.append(f"{plant} plant written to {written}")
     elif out is not None:
         lines.append(f"{out} was not written: these data do not improve the plant")
