@@ -235,6 +235,8 @@ class EmpiricalTerm:
         courses: the shape, for a figure.
         expression: a short formula that closes nearly as much; None where there is none.
         nearest: entries of the catalogue that come nearest to it, nearest first.
+        told_by: the slot without which no other shows a gap: nothing can foretell what the term
+            does there, and what it closes is that of the others; "" where there is no such slot.
     """
 
     unit: str
@@ -250,6 +252,7 @@ class EmpiricalTerm:
     courses: tuple[TermCourse, ...] = ()
     expression: Expression | None = None
     nearest: tuple[NearEntry, ...] = ()
+    told_by: str = ""
 
     @property
     def rate_share(self) -> float:
@@ -398,6 +401,7 @@ def _empirical(term: EmpiricalTerm | None, stage: str | None) -> dict[str, Any] 
         "closed_low": term.closed_low,
         "closed_high": term.closed_high,
         "held_out": "slot",
+        "told_by": term.told_by or None,
         "recalibrated": term.recalibrated,
         "after": term.after,
         "floor": term.floor,

@@ -13,16 +13,27 @@ import numpy.typing as npt
 import pandas as pd
 import pytest
 
+import gap_bench
 from gap.data.reader import read_dataset
 from gap.estimation.fit_problem import FitProblem
 from gap.model.features import BLOCKS
+from gap.reason import Cause, Reason
+from gap.reporting.empirical import empirical_lines, empirical_sentences
 from gap.validation.config import VALIDATION
 from gap.validation.empirical import _Found, _simplest, blocks_with_gap, empirical_term
 from gap.validation.terms.pieces import NO_FLOWS, Piece, pieces_of
 from gap.validation.terms.refit import within_walls
 from gap.validation.terms.search import TermSearch, refitted, search_of
-from gap_bench import write_set
-from plant.effects.empirical import FLOW, INLET_FLOW, Correction, Corrections, SplineTerm
+from gap.verdict import Status, Verdict
+from gap_bench import fill_and_vent, staircase, write_set
+from plant.effects.empirical import (
+    FLOW,
+    INLET_FLOW,
+    SHORT_PULSES,
+    Correction,
+    Corrections,
+    SplineTerm,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -254,6 +265,68 @@ def test_what_one_slot_holds_is_told_by_the_fit_to_it_with_the_fewest_columns() 
     # With slot 0 left out, no slot holds nearly all of it.
     search.gaps = np.array([290.0, 200.0, 300.0])
     assert search._of_one_slot(frozenset({0})) == []
+
+
+@dataclass
+class LeftOut:
+    """Errors of the recalibrated plant written down, with all slots and without one of them."""
+
+    with_all: Sequence[float]
+    without: Sequence[float]
+
+    def errors(self, chosen: object, left: frozenset[int]) -> Array:
+        return np.array(self.without if left else self.with_all)
+
+
+def test_a_slot_tells_alone_of_a_gap_that_no_other_shows_without_it() -> None:
+    """What the others show with it is what it has done to the constants."""
+    search, _ = told({"": [100.0]}, 300.0)
+    search.gaps = np.array([30.0, 900.0, 50.0])
+    search.recalibrated = cast(Any, LeftOut([32.0, 902.0, 52.0], [2.5, 2.1]))
+    assert search.telling == 1
+    # Here the others have a gap by themselves, and here none with it either.
+    search.recalibrated = cast(Any, LeftOut([32.0, 902.0, 52.0], [20.0, 40.0]))
+    assert search.telling is None
+    search.gaps = np.array([0.5, 900.0, 0.4])
+    search.recalibrated = cast(Any, LeftOut([2.5, 902.0, 2.4], [2.0, 2.0]))
+    assert search.telling is None
+
+
+def test_few_numbers_are_taken_where_they_leave_next_to_nothing() -> None:
+    """Six percent left were those of a valve that shuts late in place of a supply that surges."""
+    search, _ = told({"": [100.0]}, 900.0)
+    law, stand_in, many = (
+        Piece((), (), scale, np.full(width, k), np.zeros((width, width)))
+        for k, (scale, width) in enumerate((("law", 2), ("stand-in", 1), ("many", 9)))
+    )
+    search.pieces = (many, stand_in, law)
+    search.terms = cast(Any, OfFit([4.0, 20.0, 2.0]))
+    assert search.of_few_numbers() == [law]
+    search.pieces = (many, stand_in)
+    assert search.of_few_numbers() == []
+
+
+def test_a_law_that_one_slot_tells_is_handed_out_with_what_it_foretells_of_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Commands too short for the valve pass all the same: one test has such commands."""
+    steps = (("step", L, 0.0, "valve", fill_and_vent(), 4.5) for L in (56.0, 60.0, 64.0))
+    bursts = ("square", 62.0, 0.0, "valve", staircase(0.006), 18.0)
+    monkeypatch.setattr(gap_bench, "PLAN", (*steps, bursts))
+    folder = write_set(tmp_path / "data", {"transport_delay": {}})
+    problem = FitProblem.of(read_dataset(folder))
+    term = empirical_term(problem, problem.base, block="pressure")
+    assert term is not None
+    assert term.told_by == "s3"
+    assert [(one.scale, one.inputs) for one in term.correction.terms] == [(SHORT_PULSES, ())]
+    assert term.correction.terms[0].coefficients[0] == pytest.approx(1.0, abs=0.02)
+    assert term.shares == {"history": 1.0}
+    assert term.closed > 0.9
+    verdict = Verdict(Status.UNKNOWN, Reason(Cause.NO_GAP), "valve", (), 0.1, 0.9, empirical=term)
+    for lines in (empirical_lines(verdict), empirical_sentences(verdict)):
+        (line,) = [line for line in lines if "alone" in line]
+        assert "s3" in line
+    assert verdict.as_dict()["empirical"]["told_by"] == "s3"
 
 
 def test_where_no_row_is_a_term_goes_back_to_none() -> None:

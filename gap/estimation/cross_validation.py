@@ -42,8 +42,8 @@ class HeldOut:
         total = float(self.weight.sum())
         return float(np.sqrt(max(float(getattr(self, which).sum()), 0.0) / max(total, 1e-12)))
 
-    def closed(self) -> tuple[float, float, float] | None:
-        """Closed fraction with its 95 % interval by the jackknife over units.
+    def closed(self, least: int = 3) -> tuple[float, float, float] | None:
+        """Closed fraction with its 95 % interval by the jackknife over `least` units or more.
 
         Held-out errors give a little too little for the plant fitted to all units, and errors of
         that fit a little too much: the interval reaches to the upper end of both. A ratio above one
@@ -51,26 +51,28 @@ class HeldOut:
         where the gap beyond the floor is not certain.
         """
         use = self.weight > 0.0
-        found = _ratio((self.recalibrated - self.after)[use], (self.recalibrated - self.floor)[use])
+        found = _ratio(
+            (self.recalibrated - self.after)[use], (self.recalibrated - self.floor)[use], least
+        )
         if found is None:
             return None
         ratio, low, high = found
         if self.fitted is not None:
             base, after = self.fitted
-            inside = _ratio((base - after)[use], (base - self.floor)[use])
+            inside = _ratio((base - after)[use], (base - self.floor)[use], least)
             high = max(high, inside[2]) if inside is not None else high
         return ratio, low - max(ratio - 1.0, 0.0), high
 
 
-def _ratio(a: Array, b: Array) -> tuple[float, float, float] | None:
+def _ratio(a: Array, b: Array, least: int) -> tuple[float, float, float] | None:
     """Ratio of two sums over units, with its 95 % interval by the jackknife."""
     n = len(a)
-    if n < 3 or b.sum() <= 0.0:
+    if n < least or b.sum() <= 0.0:
         return None
     ratio = float(a.sum() / b.sum())
     left = (a.sum() - a) / np.where(np.abs(b.sum() - b) < 1e-12, np.nan, b.sum() - b)
     left = left[np.isfinite(left)]
-    if len(left) < 3:
+    if len(left) < least:
         return None
     spread = float(np.sqrt((len(left) - 1) / len(left) * np.sum((left - left.mean()) ** 2)))
     reach = float(student.ppf(0.975, max(len(left) - 1, 1))) * spread

@@ -65,6 +65,9 @@ _KINDS = {
 }
 
 
+_TOLD_BY = "without it the other slots show no gap; measure more of its kind"
+
+
 def empirical_lines(verdict: Verdict) -> list[str]:
     """The term of a verdict in lines; none without a term."""
     term = verdict.empirical
@@ -78,6 +81,8 @@ def empirical_lines(verdict: Verdict) -> list[str]:
         f"{100 * term.closed_high:.0f}) on slots held out: {term.recalibrated:.3g} -> "
         f"{term.after:.3g}, floor {term.floor:.3g} {term.unit}",
     ]
+    if term.told_by:
+        lines.append(f"  told by   slot {term.told_by} alone, which is not counted: {_TOLD_BY}")
     lines += [f"  amount    {one}" for one in _amounts(term)]
     if _domain(term):
         lines.append(f"  domain    {'; '.join(_ends(name, ends) for name, ends in _domain(term))}")
@@ -102,6 +107,8 @@ def empirical_sentences(verdict: Verdict) -> list[str]:
         f"{term.recalibrated:.3g} {term.unit} become {term.after:.3g} {term.unit}, the floor is "
         f"{term.floor:.3g} {term.unit}.{f' It holds for {ends}.' if ends else ''}",
     ]
+    if term.told_by:
+        made.append(f"Slot {term.told_by} alone tells of it and is not counted: {_TOLD_BY}.")
     if _amounts(term):
         made.append(f"What is the same everywhere: {'; '.join(_amounts(term))}.")
     if term.rate_share >= _SHOWN:

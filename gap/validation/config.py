@@ -68,6 +68,11 @@ class ValidationConfig:
     foretold_slots: int = 3
     """Slots with a gap larger than their floor, of each of which a term must foretell half, for it
     to close the gap although one of them holds most of it. A matter of definition."""
+    few_numbers: int = 3
+    """Numbers of a term that one slot alone may tell, where without it no other shows a gap. A
+    matter of definition."""
+    few_left: float = 0.01
+    """Share of the gap that such a term may leave, in squares. A matter of definition."""
     term_sd: float = 2.0
     """Prior of a term's coefficients, in rms of the residual: they go back to none where no row is.
     Set on: practice sets 44321 and 44343; 1 does as well, at 5 a term went astray there."""

@@ -115,7 +115,9 @@ def _term_of(
     if first is None:
         return None
     found: list[_Found] = []
+    searches: list[TermSearch] = []
     for search in _searches(problem, first, refused):
+        searches.append(search)
         chosen = search.select()
         held = _held_out(problem, search) if chosen else None
         closed = held.closed() if held is not None else None
@@ -124,10 +126,13 @@ def _term_of(
         found.append(_Found(search, chosen, held, closed[0], sum(map(search.is_refused, chosen))))
         if closed[0] > config.foretold_share:
             break
+    slot = None if found else first.telling
+    if slot is not None:
+        found = [one for search in searches if (one := _told_by(problem, search, slot)) is not None]
     if not found:
         return None
     best = _simplest(found, config.alike_share)
-    return _stated(problem, fit, best.search, best.chosen, best.held, nearest)
+    return _stated(problem, fit, best.search, best.chosen, best.held, nearest, slot)
 
 
 class _Found(NamedTuple):
@@ -145,6 +150,38 @@ def _simplest(found: Sequence[_Found], alike_share: float) -> _Found:
     least = (1.0 - alike_share) * max(one.closed for one in found)
     alike = [one for one in found if one.closed >= least]
     return min(alike, key=lambda one: (one.refused, len(groups_of(one.chosen)), -one.closed))
+
+
+def _told_by(problem: FitProblem, search: TermSearch, slot: int) -> _Found | None:
+    """A term of few numbers that one slot tells; None where it does not foretell the others.
+
+    Nothing foretells that slot, since without it nothing shows: it is not judged.
+    """
+    chosen = search.of_few_numbers()
+    if not chosen:
+        return None
+    judged = [k for k, one in enumerate(search.terms.slots) if one != slot]
+    base = search.errors([])
+    after = base.copy()
+    for k in judged:
+        own = search.terms.slots[k]
+        pieces = search.of_few_numbers(frozenset({own}))
+        if pieces:
+            after[k] = search.terms.error(own, search.columns(pieces))
+    held = _held(problem, search, base, after, judged)
+    closed = held.closed(_LEAST_JUDGED)
+    gap = held.recalibrated - held.floor
+    with_gap = gap > held.floor
+    foretold = held.recalibrated - held.after > HALF * gap
+    if closed is None or closed[0] <= HALF or not foretold[with_gap].all():
+        return None
+    if np.count_nonzero(with_gap) < _LEAST_JUDGED:
+        return None
+    return _Found(search, chosen, held, closed[0])
+
+
+_LEAST_JUDGED = 2
+"""Other slots that a term of few numbers must foretell. A matter of definition."""
 
 
 def _searches(
@@ -237,15 +274,15 @@ def _with_constants_back(problem: FitProblem, first: TermSearch) -> TermSearch |
 
 def _stated(
     problem: FitProblem, fit: FitResult, search: TermSearch, chosen: list[Piece], held: HeldOut,
-    nearest: Sequence[str],
+    nearest: Sequence[str], told_by: int | None,
 ) -> EmpiricalTerm | None:  # fmt: skip
     """The term of a search as it is handed out, with constants moved from those of `fit`."""
-    found = held.closed()
+    found = held.closed(_LEAST_JUDGED)
     if found is None:
         return None
     columns = search.columns(chosen)
     coefficients = search.terms.coefficients(columns)
-    shares = search.shares(chosen)
+    shares = search.shares(chosen, told_by)
     correction = Correction(
         search.block, tuple(_spline_term(p, coefficients, chosen) for p in chosen)
     )
@@ -262,10 +299,13 @@ def _stated(
         floor=held.rms("floor"),
         moved=moved + search.terms.moved(columns),
         courses=tuple(_course(search, chosen, piece) for piece in chosen if piece.inputs),
-        expression=compact_expression(
+        expression=None  # a formula is judged by every slot
+        if told_by is not None
+        else compact_expression(
             problem, search.fit, search.errors(chosen), search.errors([]), correction, search.config
         ),
         nearest=_nearest(problem, search, chosen, shares, tuple(nearest)),
+        told_by="" if told_by is None else tuple(problem.data.slots)[told_by],
     )
 
 
@@ -278,12 +318,21 @@ def _held_out(problem: FitProblem, search: TermSearch) -> HeldOut:
         chosen = search.select(frozenset({slot}))
         if chosen:
             after[k] = search.terms.error(slot, search.columns(chosen))
+    return _held(problem, search, base, after, range(len(slots)))
+
+
+def _held(
+    problem: FitProblem, search: TermSearch, base: Array, after: Array, judged: Sequence[int]
+) -> HeldOut:
+    """The errors of some slots of a search, by their places among its slots."""
+    slots = [search.terms.slots[k] for k in judged]
     floor = floor_squares(problem, problem.units)[search.block][slots]
     here = problem.rows.block == BLOCKS.index(search.block)
     weight = np.bincount(
         problem.units[problem.rows.trial[here]], weights=problem.rows.compared_s[here],
         minlength=max(slots) + 1,
     )[slots].astype(np.float64)  # fmt: skip
+    base, after = base[list(judged)], after[list(judged)]
     return HeldOut(base, base, after, floor, weight)
 
 

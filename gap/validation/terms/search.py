@@ -140,6 +140,39 @@ class TermSearch:
         best = min(enough, key=lambda k: (len(self.pieces[k].at), left[k]), default=None)
         return [] if best is None else [self.pieces[best]]
 
+    @property
+    def telling(self) -> int | None:
+        """The slot without which the others show no gap: it has led the constants astray for them.
+
+        None where the others show one by themselves, or none with it either.
+        """
+        slot = self.terms.slots[int(np.argmax(self.gaps))]
+        alone = frozenset({slot})
+        beside, floor = self.gap(alone), self.floor(alone)
+        left = float(self.recalibrated.errors(self.columns([]), alone).sum()) - floor
+        nearly = (1.0 - self.config.foretold_share) * beside
+        return slot if beside > floor and left < nearly else None
+
+    def of_few_numbers(self, without: frozenset[int] = frozenset()) -> list[Piece]:
+        """The piece with the fewest numbers that takes nearly all of the gap, of the fit itself.
+
+        Of so few, what thousands of readings hold is a test although none of them was left out.
+        """
+        gap, floor = self.gap(without), self.floor(without)
+        left: list[tuple[int, float, Piece]] = []
+        for piece in self.pieces:
+            if len(piece.at) > self.config.few_numbers or self.is_refused(piece):
+                continue
+            errors = [
+                self.terms.error_of_fit(slot, piece.at, without)
+                for slot in self.terms.slots
+                if slot not in without
+            ]
+            over = float(np.sum(errors)) - floor
+            if over < self.config.few_left * gap:
+                left.append((len(piece.at), over, piece))
+        return [min(left, key=lambda one: one[:2])[2]] if left else []
+
     def _next(
         self, chosen: list[Piece], errors: Array, without: frozenset[int]
     ) -> tuple[Piece, Array] | None:
@@ -216,7 +249,9 @@ class TermSearch:
                 chosen = rest
         return chosen
 
-    def within(self, chosen: Sequence[Piece], groups: frozenset[str]) -> list[Piece]:
+    def within(
+        self, chosen: Sequence[Piece], groups: frozenset[str], told_by: int | None = None
+    ) -> list[Piece]:
         """The chosen pieces, as far as they can be made of some inputs alone."""
         made: list[Piece] = []
         for piece in chosen:
@@ -230,19 +265,25 @@ class TermSearch:
                 if set(p.inputs) <= names and p.groups <= groups and p.scale in ("", piece.scale)
                 and not self.is_refused(p)
             ]  # fmt: skip
-            made += sorted(alone, key=lambda one: float(self.errors([one]).sum()))[:1]
+            made += sorted(alone, key=lambda one: self._judged([one], told_by))[:1]
         return list({id(piece): piece for piece in made}.values())
 
-    def shares(self, chosen: Sequence[Piece]) -> dict[str, float]:
+    def _judged(self, chosen: Sequence[Piece], told_by: int | None) -> float:
+        """Squared errors on slots left out, without the one that alone tells of a term."""
+        judged = np.array([slot != told_by for slot in self.terms.slots])
+        return float(self.errors(chosen)[judged].sum())
+
+    def shares(self, chosen: Sequence[Piece], told_by: int | None = None) -> dict[str, float]:
         """Shapley values of the inputs in what is closed on slots left out; negative ones are 0.
 
-        Empty where all of it is an offset.
+        Empty where all of it is an offset. The slot `told_by`, which alone tells of the term,
+        is not judged.
         """
         names = sorted(groups_of(chosen))
-        nothing = float(self.errors([]).sum())
+        nothing = self._judged([], told_by)
         worth = {
             frozenset(some): nothing
-            - float(self.errors(self.within(chosen, frozenset(some))).sum())
+            - self._judged(self.within(chosen, frozenset(some), told_by), told_by)
             for count in range(len(names) + 1)
             for some in combinations(names, count)
         }
