@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -20,7 +20,14 @@ from gap.model.features import BLOCKS
 from gap.reason import Cause, Reason
 from gap.reporting.empirical import empirical_lines, empirical_sentences
 from gap.validation.config import VALIDATION
-from gap.validation.empirical import _Found, _simplest, blocks_with_gap, empirical_term
+from gap.validation.empirical import (
+    _can_be_stated,
+    _Found,
+    _simplest,
+    blocks_with_gap,
+    empirical_term,
+)
+from gap.validation.improved_plant import improved_plant
 from gap.validation.terms.pieces import NO_FLOWS, Piece, pieces_of
 from gap.validation.terms.refit import within_walls
 from gap.validation.terms.search import TermSearch, refitted, search_of
@@ -281,15 +288,15 @@ class LeftOut:
 def test_a_slot_tells_alone_of_a_gap_that_no_other_shows_without_it() -> None:
     """What the others show with it is what it has done to the constants."""
     search, _ = told({"": [100.0]}, 300.0)
-    search.gaps = np.array([30.0, 900.0, 50.0])
-    search.recalibrated = cast(Any, LeftOut([32.0, 902.0, 52.0], [2.5, 2.1]))
-    assert search.telling == 1
-    # Here the others have a gap by themselves, and here none with it either.
-    search.recalibrated = cast(Any, LeftOut([32.0, 902.0, 52.0], [20.0, 40.0]))
-    assert search.telling is None
-    search.gaps = np.array([0.5, 900.0, 0.4])
-    search.recalibrated = cast(Any, LeftOut([2.5, 902.0, 2.4], [2.0, 2.0]))
-    assert search.telling is None
+    with_gap, none = [30.0, 900.0, 50.0], [0.5, 900.0, 0.4]
+    for gaps, without, expected in (
+        (with_gap, [2.5, 2.1], 1),
+        (with_gap, [20.0, 40.0], None),  # the others have a gap by themselves
+        (none, [2.0, 2.0], None),  # they have none with it either
+    ):
+        search.gaps = np.array(gaps)
+        search.recalibrated = cast(Any, LeftOut(gaps, without))
+        assert search.telling == expected
 
 
 def test_few_numbers_are_taken_where_they_leave_next_to_nothing() -> None:
@@ -327,6 +334,23 @@ def test_a_law_that_one_slot_tells_is_handed_out_with_what_it_foretells_of_the_o
         (line,) = [line for line in lines if "alone" in line]
         assert "s3" in line
     assert verdict.as_dict()["empirical"]["told_by"] == "s3"
+
+
+def test_constants_that_no_bench_has_make_no_term_and_no_unreadable_plant(tmp_path: Path) -> None:
+    """On practice set 45235 a term had led the atmosphere to 124 kPa; a plant file takes 110."""
+    folder = write_set(tmp_path / "data", {})
+    problem = FitProblem.of(read_dataset(folder))
+    search, pieces = told({"": [100.0], "a": [1.0]}, 300.0)
+    shift = np.zeros(len(problem.names))
+    search.fit = problem.at(shift, (), np.empty(0), problem.base)
+    for beyond in (0.0, 1e3):
+        shift[problem.names.index("atmosphere_kpa")] = beyond
+        moved = SimpleNamespace(moved=lambda columns: shift)
+        search.terms = cast(Any, moved)
+        assert _can_be_stated(problem, search, [pieces["a"]]) is (beyond == 0.0)
+    astray = replace(problem.base, shift=shift)
+    (folder / "bench.toml").write_text(improved_plant(problem, astray), encoding="utf-8")
+    assert read_dataset(folder).constants.value("atmosphere_kpa") == 110.0
 
 
 def test_where_no_row_is_a_term_goes_back_to_none() -> None:

@@ -25,6 +25,7 @@ from gap.validation.terms.refit import within_walls
 from gap.validation.terms.search import HALF, TermSearch, refitted, search_of
 from gap.verdict import EmpiricalTerm, NearEntry, TermCourse
 from plant.arrays import Array
+from plant.constants import KEYS
 from plant.effects.empirical import (
     Correction,
     SplineTerm,
@@ -123,6 +124,8 @@ def _term_of(
         closed = held.closed() if held is not None else None
         if held is None or closed is None or not _closes(held, config):
             continue
+        if not _can_be_stated(problem, search, chosen):
+            continue
         found.append(_Found(search, chosen, held, closed[0], sum(map(search.is_refused, chosen))))
         if closed[0] > config.foretold_share:
             break
@@ -158,7 +161,7 @@ def _told_by(problem: FitProblem, search: TermSearch, slot: int) -> _Found | Non
     Nothing foretells that slot, since without it nothing shows: it is not judged.
     """
     chosen = search.of_few_numbers()
-    if not chosen:
+    if not chosen or not _can_be_stated(problem, search, chosen):
         return None
     judged = [k for k, one in enumerate(search.terms.slots) if one != slot]
     base = search.errors([])
@@ -178,6 +181,20 @@ def _told_by(problem: FitProblem, search: TermSearch, slot: int) -> _Found | Non
     if np.count_nonzero(with_gap) < _LEAST_JUDGED:
         return None
     return _Found(search, chosen, held, closed[0])
+
+
+def _can_be_stated(problem: FitProblem, search: TermSearch, chosen: Sequence[Piece]) -> bool:
+    """Whether a plant file takes the constants that go with some pieces.
+
+    Millions of readings may move a constant to where no bench can be.
+    """
+    moved = search.terms.moved(search.columns(chosen))[: len(problem.names)]
+    constants = problem.constants(search.fit.shift + moved)
+    return all(
+        KEYS[name].low <= constants.value(name) <= KEYS[name].high
+        for name in problem.names
+        if name in constants.keys
+    )
 
 
 _LEAST_JUDGED = 2

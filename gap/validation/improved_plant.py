@@ -11,7 +11,7 @@ from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.intervals import headline_estimates, undamped_step
 from gap.output import toml_value
 from gap.verdict import EmpiricalTerm
-from plant.constants import CHOICES, nominal
+from plant.constants import CHOICES, KEYS, nominal
 from plant.effects.catalogue import CATALOGUE
 from plant.effects.empirical import Correction
 
@@ -29,7 +29,7 @@ def improved_plant(
     constants = problem.constants(fit.shift)
     usual = nominal()
     lines += [
-        f"{name} = {constants.value(name):.8g}"
+        f"{name} = {_within(name, constants.value(name)):.8g}"
         for name in constants.keys
         if name in problem.names or constants.value(name) != usual.value(name)
     ]
@@ -74,6 +74,11 @@ def improved_plant(
     for correction in corrections.values():
         lines += ["", *_correction_lines(correction)]
     return "\n".join(lines) + "\n"
+
+
+def _within(name: str, value: float) -> float:
+    """A constant as far as a plant file takes it: a large gap without a name can lead it beyond."""
+    return min(max(value, KEYS[name].low), KEYS[name].high)
 
 
 def _moved(fit: FitResult, term: EmpiricalTerm) -> FitResult:
