@@ -334,6 +334,7 @@ def test_a_law_that_one_slot_tells_is_handed_out_with_what_it_foretells_of_the_o
         (line,) = [line for line in lines if "alone" in line]
         assert "s3" in line
     assert verdict.as_dict()["empirical"]["told_by"] == "s3"
+    assert "# Slot s3 alone" in improved_plant(problem, problem.base, term)
 
 
 def test_constants_that_no_bench_has_make_no_term_and_no_unreadable_plant(tmp_path: Path) -> None:

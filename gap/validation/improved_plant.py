@@ -91,10 +91,12 @@ def _described(term: EmpiricalTerm) -> list[str]:
     """What a reader of the file should know of a term that is no physics."""
     shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in term.shares.items())
     shares = shares or "no input"
+    told = [f"# Slot {term.told_by} alone tells of it, and is not counted."] if term.told_by else []
     return [
         "# Empirical: what is left of the gap has no name. Held at its edge beyond its knots.",
         f"# It depends on {shares}; on slots held out it closes {100 * term.closed:.0f} % of the",
         f"# gap ({100 * term.closed_low:.0f} to {100 * term.closed_high:.0f}).",
+        *told,
     ]
 
 
