@@ -72,7 +72,8 @@ class ValidationConfig:
     """Numbers of a term that one slot alone may tell, where without it no other shows a gap. A
     matter of definition."""
     few_left: float = 0.01
-    """Share of the gap that such a term may leave, in squares. A matter of definition."""
+    """Share of the gap that such a term may leave, in squares. Set on: practice set 70231, where a
+    stand-in that left 6 % closed nothing on other trials."""
     term_sd: float = 2.0
     """Prior of a term's coefficients, in rms of the residual: they go back to none where no row is.
     Set on: practice sets 44321 and 44343; 1 does as well, at 5 a term went astray there."""
