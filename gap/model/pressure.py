@@ -45,6 +45,7 @@ _MOST_RATIO = 0.95
 _factor = inlined(flow.subsonic_factor)
 _outward = called(flow.outward_drive)
 _drooped = called(flow.drooped)
+_inlet_behind = called(flow.inlet_behind)
 _with_index = inlined(flow.with_index)
 _braid_volume = inlined(muscle.braid_volume)
 _follow = inlined(follow)
@@ -146,19 +147,15 @@ def _falling(q: Any, fall: float, inside: float, source: float, span: float) -> 
     """
     droop = min(q[stage.DROOP], flow.MOST_DROOP * source)
     follows = 1.0 - math.exp(-span / q[stage.DROOP_TIME])
-    low = 0.0
-    high = max(fall, droop)
-    target = 0.0
-    for _ in range(30):
-        end = 0.5 * (low + high)
-        above = source - end
-        share = _factor(inside / above, q[layout.INLET_CRITICAL_RATIO]) * above / (source - droop)
-        target = droop * share ** q[stage.DROOP_POWER]
-        if end < fall + follows * (target - fall):
-            low = end
-        else:
-            high = end
-    return float(fall + (0.5 * (low + high) - fall) / follows)
+    # What stays of the fall at the start is gone before the line takes the rest.
+    level = source - (1.0 - follows) * fall
+    if inside >= level:
+        return 0.0
+    inlet = _inlet_behind(
+        level, inside, follows * droop, source - droop, q[layout.INLET_CRITICAL_RATIO],
+        q[stage.DROOP_POWER],
+    )  # fmt: skip
+    return float((level - inlet) / follows)
 
 
 @inlined
@@ -276,6 +273,7 @@ def _advance(
     hose = 0.0
     hose_next = 0.0
     swells = 0.0
+    fallen = -1.0
     while left > 1e-12:
         if q[stage.FADING] > 0.0:
             faded = 1.0 - math.exp(-(s[8] + 0.5 * left) / q[stage.FADING])
@@ -289,7 +287,8 @@ def _advance(
         h = left
         # Most of a record is quiet: nothing flows, and the gas follows the volume in one step.
         if not quiet:
-            fall = _fall(q, s[3], p, supply, inlet)
+            # Where one step ends the next begins, and a power takes as long as all the rest.
+            fall = _fall(q, s[3], p, supply, inlet) if fallen < 0.0 else fallen
             flow_in, flow_out, share = _flows(
                 q, p, supply, inlet, outlet, fall, scale, more_in, more_out
             )
@@ -376,6 +375,7 @@ def _advance(
         target = q[stage.DROOP] * share if inlet > 0.0 else 0.0
         if _at_once(q):
             target = _fall(q, 0.0, p1, supply, inlet)
+            fallen = target
         elif q[stage.DROOP_POWER] > 0.0 and inlet > 0.0:
             target = _falling(q, s[3], p1 + at, supply + at, h)
         droop_time = q[stage.DROOP_TIME]

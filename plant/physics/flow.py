@@ -24,8 +24,14 @@ touches the last 6.5 Pa only.
 """
 MOST_DROOP = 0.45
 """Share of the supply that a droop takes at most."""
-_BISECTIONS = 24
-"""Halvings of at most 45 % of the supply: to a few hundredths of a pascal."""
+_NEWTON_STEPS = 8
+"""Three are usual; where these are not enough the root is halved for."""
+_SETTLED_PA = 0.02
+"""Last of Newton's steps that is small enough: what it leaves goes with its square."""
+_SETTLED_LOG = 1e-5
+"""The same of the logarithm of a flow."""
+_BISECTIONS = 40
+"""Halvings of at most the supply: to a millionth of a pascal."""
 
 
 # The functions below are also compiled into the kernel: scalar floats, no validation.
@@ -79,17 +85,7 @@ def drooped(
     if downstream <= critical_ratio * choked:
         return choked
     if power != 1.0:
-        # The line P_s - P1 falls with P1 and the flow grows: one root between.
-        low = max(choked, downstream)
-        high = supply
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (low + high)
-            share = subsonic_factor(downstream / middle, critical_ratio) * middle / choked
-            if supply - middle > fall * share**power:
-                low = middle
-            else:
-                high = middle
-        return 0.5 * (low + high)
+        return inlet_behind(supply, downstream, fall, choked, critical_ratio, power)
     slope = (fall / choked) ** 2
     bend = slope / (1.0 - critical_ratio) ** 2
     a = 1.0 - slope + bend * critical_ratio * critical_ratio
@@ -97,6 +93,65 @@ def drooped(
     c = supply * supply + bend * downstream * downstream
     # The smaller root, in the form that does not cancel.
     return c / (b + math.sqrt(max(0.0, b * b - a * c)))
+
+
+def inlet_behind(
+    source: float, downstream: float, fall: float, choked: float, critical_ratio: float,
+    power: float,
+) -> float:  # fmt: skip
+    """Absolute pressure P1 in Pa at an inlet behind a line that takes a power of the flow.
+
+        P_s - P1 = fall q^power,    q = psi(P2 / P1) P1 / `choked`
+
+    `source` P_s lies above `downstream` P2; both absolute, in Pa.
+    """
+    # (w P_c q)^2 = (w P1)^2 - (P2 - b P1)^2, w = 1 - b, is the ellipse without its root: in q there
+    # is no end where the slope is infinite. Its last term is nothing where the flow is choked.
+    width = 1.0 - critical_ratio
+    most = width * choked
+    free = subsonic_factor(downstream / source, critical_ratio) * source / choked
+    share = free
+    for _ in range(_NEWTON_STEPS):
+        lost = fall * share**power
+        if lost > source - downstream:  # no flow leaves less than is downstream
+            share *= ((source - downstream) / lost) ** (1.0 / power)
+            lost = source - downstream
+        inlet = source - lost
+        beyond = max(downstream - critical_ratio * inlet, 0.0)
+        excess = (most * share) ** 2 - (width * inlet) ** 2 + beyond * beyond
+        bend = power * lost / share
+        slope = most * most * share
+        slope += bend * (width * width * inlet + critical_ratio * beyond)
+        step = 0.5 * excess / slope
+        if abs(bend * step) < _SETTLED_PA:
+            inlet += bend * step
+            if inlet - downstream > LINEAR_BELOW * inlet:
+                return inlet
+            break
+        share = min(share - step, free) if step < share else 0.5 * share
+    # Near equal pressures psi is a straight line, P1 = P2 + q `each`: in logarithms nearly one too.
+    edge = LINEAR_BELOW / width
+    each = LINEAR_BELOW * choked / math.sqrt(edge * (2.0 - edge))
+    for _ in range(_NEWTON_STEPS):
+        lost = fall * share**power
+        both = lost + each * share
+        off = math.log(both / (source - downstream))
+        share *= math.exp(-off * both / (power * lost + each * share))
+        if abs(off) < _SETTLED_LOG:
+            break
+    if each * share < LINEAR_BELOW * (downstream + each * share):
+        return downstream + each * share
+    # The line P_s - P1 falls with P1 and the flow grows: one root between.
+    low = downstream
+    high = source
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        share = subsonic_factor(downstream / middle, critical_ratio) * middle / choked
+        if source - middle > fall * share**power:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
 
 
 def subsonic_factors(
