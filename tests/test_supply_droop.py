@@ -71,7 +71,7 @@ def test_the_inlet_stands_where_the_line_and_the_valve_pass_the_same_flow(
 def test_near_equal_pressures_the_flow_is_right_and_not_the_pressure_alone(
     below: float, droop: float, critical: float, power: float
 ) -> None:
-    """A regulator gives way for the least flow: a hundredth of a pascal is a tenth of it there."""
+    """A regulator gives way for the least flow: a hundredth of a pascal is a large part of it."""
     inside = SOURCE * (1.0 - 10.0**below)
     choked = SOURCE - droop
 
@@ -85,6 +85,7 @@ def test_near_equal_pressures_the_flow_is_right_and_not_the_pressure_alone(
         xtol=1e-12, rtol=1e-12,
     )  # fmt: skip
     assume(left > 1e-5)  # of less a float of 600 kPa holds no digits
+    # A last step of 0.02 Pa, of the 6 Pa above which psi is the ellipse.
     assert shown == pytest.approx(flow(inside + left), rel=2e-3)
 
 

@@ -147,7 +147,8 @@ def _falling(q: Any, fall: float, inside: float, source: float, span: float) -> 
     """
     droop = min(q[stage.DROOP], flow.MOST_DROOP * source)
     follows = 1.0 - math.exp(-span / q[stage.DROOP_TIME])
-    # What stays of the fall at the start is gone before the line takes the rest.
+    # The fall ends at what stays of it and `follows` of the target: as behind a line from a source
+    # that is lower by what stays.
     level = source - (1.0 - follows) * fall
     if inside >= level:
         return 0.0
@@ -273,7 +274,6 @@ def _advance(
     hose = 0.0
     hose_next = 0.0
     swells = 0.0
-    fallen = -1.0
     while left > 1e-12:
         if q[stage.FADING] > 0.0:
             faded = 1.0 - math.exp(-(s[8] + 0.5 * left) / q[stage.FADING])
@@ -288,7 +288,7 @@ def _advance(
         # Most of a record is quiet: nothing flows, and the gas follows the volume in one step.
         if not quiet:
             # Where one step ends the next begins, and a power takes as long as all the rest.
-            fall = _fall(q, s[3], p, supply, inlet) if fallen < 0.0 else fallen
+            fall = _fall(q, s[3], p, supply, inlet) if left == span else s[3]
             flow_in, flow_out, share = _flows(
                 q, p, supply, inlet, outlet, fall, scale, more_in, more_out
             )
@@ -375,7 +375,6 @@ def _advance(
         target = q[stage.DROOP] * share if inlet > 0.0 else 0.0
         if _at_once(q):
             target = _fall(q, 0.0, p1, supply, inlet)
-            fallen = target
         elif q[stage.DROOP_POWER] > 0.0 and inlet > 0.0:
             target = _falling(q, s[3], p1 + at, supply + at, h)
         droop_time = q[stage.DROOP_TIME]
