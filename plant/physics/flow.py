@@ -114,7 +114,7 @@ def inlet_behind(
         if lost > source - downstream:  # no flow leaves less than is downstream
             share *= ((source - downstream) / lost) ** (1.0 / power)
             lost = source - downstream
-        inlet = source - lost
+        inlet: float = source - lost
         beyond = max(downstream - critical_ratio * inlet, 0.0)
         excess = (most * share) ** 2 - (width * inlet) ** 2 + beyond * beyond
         bend = power * lost / share
