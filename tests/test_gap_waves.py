@@ -39,11 +39,12 @@ def rows_with(wave: Array, seed: int = 1) -> tuple[WaveRows, Array]:
     slot = np.repeat(np.arange(SLOTS), 2 * count)
     trial = np.repeat(np.arange(2 * SLOTS), count)
     values = wave[slot, np.tile(np.arange(count), 2 * SLOTS)] + rng.normal(0.0, 0.3, len(slot))
-    return WaveRows(values, np.full(len(slot), 0.02), trial, slot), time
+    span = np.full(len(slot), 0.02)
+    return WaveRows(values, span, trial, slot, np.ones(len(slot)), span), time
 
 
 def found(rows: WaveRows, time: Array) -> list[Wave]:
-    return waves_of(rows, {"time_s": time}, {"time_s": np.full(len(time), 0.02)})
+    return waves_of(rows, {"time_s": time})
 
 
 TIME = 0.02 * np.arange(200)

@@ -37,13 +37,17 @@ from gap.validation.terms.pieces import (
 from gap.validation.terms.refit import FittedTerm, TermColumns, fitted_with_term
 from gap.validation.terms.waves import Wave, WaveRows, waves_of
 from plant.arrays import Array
-from plant.effects.empirical import CELL, IN_GAS, INPUTS, READING, SCALE_INPUTS, SEEN
+from plant.effects.empirical import CELL, FLOWS, IN_GAS, INPUTS, READING, SCALE_INPUTS, SEEN
 
 _RATE = "pressure_rate_kpa_s"
 HALF = 0.5
 """Share of a gap from which it counts as closed."""
 _STEEPEST = 0.5
 """Most that the error of a gauge may rise with its reading, kPa/kPa. A matter of definition."""
+
+_LASTS_LONGER = 1.25
+"""Times the longest of the others that a trial must last for a flow in time to be unknown there. A
+matter of definition."""
 
 
 @dataclass
@@ -59,6 +63,7 @@ class TermSearch:
             closed of its errors.
         gaps: squared errors of that plant on every slot, left out, beyond the floor.
         floors: squares of the floor on every slot.
+        lasts: time in s that the trials of every slot last.
         refused: errors of the block's sensor that entries of the catalogue say, and that the
             diagnosis has had to choose from; see `error_of_sensor`.
     """
@@ -73,6 +78,7 @@ class TermSearch:
     recalibrated: HeldOutTerms
     gaps: Array
     floors: Array
+    lasts: Array
     config: ValidationConfig
     refused: frozenset[str] = frozenset()
 
@@ -178,6 +184,8 @@ class TermSearch:
     ) -> tuple[Piece, Array] | None:
         """The simplest piece of those that do about as well as the best."""
         new = [p for p in self.pieces if not any(one.holds(p) for one in chosen)]
+        if self._outlast(without):
+            new = [p for p in new if not (p.scale in FLOWS and "time_s" in p.inputs)]
         tried: list[tuple[Piece, Array]] = []
         for piece in new:
             after = self.errors([*chosen, piece], without)
@@ -216,6 +224,15 @@ class TermSearch:
                 float(one[1].sum()),
             ),
         )
+
+    def _outlast(self, without: frozenset[int]) -> bool:
+        """Whether slots that are `without` last longer than the others.
+
+        What flows so late, the others do not tell, and as a sum over time it grows without end.
+        """
+        out = np.array([slot in without for slot in self.terms.slots])
+        most = float(self.lasts[~out].max(initial=0.0))
+        return bool((self.lasts[out] > _LASTS_LONGER * most).any())
 
     def is_refused(self, piece: Piece) -> bool:
         """Whether an entry says the same that did not explain the gap: another is likelier."""
@@ -370,8 +387,11 @@ def search_of(
         )
     base = plain.errors(np.empty(0, dtype=np.int64))
     floor = floor_squares(problem, problem.units)[block][list(terms.slots)]
+    last = np.zeros(int(problem.units.max()) + 1)
+    np.maximum.at(last, problem.units[problem.rows.trial[here]], problem.rows.time_s[here])
     made = TermSearch(
-        block, fit, pieces, columns, beside, flows, terms, plain, base - floor, floor, config,
+        block, fit, pieces, columns, beside, flows, terms, plain, base - floor, floor,
+        last[list(terms.slots)], config,
         errors_of_entries(block, {candidate.id for candidate in problem.candidates}),
     )  # fmt: skip
     return made if made.gaps.sum() > 0.0 else None
@@ -399,12 +419,11 @@ def _waves(
     else:
         here = problem.rows.block == BLOCKS.index(block)
         trial = problem.rows.trial[here]
-        span = problem.rows.span_s[here]
-        wide = {"time_s": span, "length_mm": span * np.abs(at["velocity_mm_s"])}
-        rows = WaveRows(
-            fit.residual[here], problem.rows.compared_s[here], trial, problem.units[trial]
-        )
-        own = waves_of(rows, at, wide)
+        rows = WaveRows.of(
+            problem.grid.points[block], fit.residual[here], problem.rows.compared_s[here], trial,
+            problem.units[trial],
+        )  # fmt: skip
+        own = waves_of(rows, at)
     return {
         wave: waves_at(problem.grid, block, wave.input, wave.period) for wave in dict.fromkeys(own)
     }
