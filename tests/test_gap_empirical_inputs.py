@@ -38,12 +38,14 @@ from plant.constants import PlantConstants, nominal
 from plant.effects.empirical import (
     CELL,
     EDGES_LATE,
+    FLOW,
     INLET_FLOW,
     LATE,
     OUTLET_FLOW,
     READING,
     SEEN,
     SHORT_PULSES,
+    SUPPLY,
     Correction,
     Corrections,
     SplineTerm,
@@ -175,6 +177,67 @@ def test_commands_that_all_act_late_are_four_longer_delays(valve_problem: FitPro
     assert shown == pytest.approx(residual_of(valve_problem, later), abs=1e-6)
 
 
+def test_a_higher_supply_is_one_with_more_pressure(valve_problem: FitProblem) -> None:
+    c = valve_problem.data.constants
+    count = len(valve_problem.grid.points["pressure"].time_s)
+    flow = Flow({SUPPLY: np.full(count, 20.0)})
+    shown = valve_problem.model.pressure_with_flow(flow, c, valve_problem.base.active)
+    expected = residual_of(valve_problem, replace(c, supply_pa=c.supply_pa + 20e3))
+    assert np.abs(expected - residual_of(valve_problem, c)).max() > 2.0
+    assert shown == pytest.approx(expected, abs=1e-6)
+
+
+def test_what_a_supply_that_was_fitted_feeds_is_what_a_higher_one_does(
+    valve_problem: FitProblem,
+) -> None:
+    c, grid = valve_problem.data.constants, valve_problem.grid
+    higher = replace(c, supply_pa=c.supply_pa + 2e3)
+    inlet, more = (valve_flows(grid, c)[scale] for scale in (INLET_FLOW, SUPPLY))
+    fed = valve_flows(grid, higher)[INLET_FLOW] - inlet
+    # Near the supply the flow rises as a root: no slope tells it.
+    filling = grid.points["pressure"].pressure < c.supply_pa - 50e3
+    assert fed[filling].max() > 0.2
+    assert np.abs(fed - 2.0 * more)[filling].mean() < 0.03 * np.abs(fed[filling]).mean()
+
+
+def test_a_supply_that_is_high_as_a_trial_begins_is_told_from_a_flow(
+    valve_problem: FitProblem,
+) -> None:
+    problem, c = valve_problem, valve_problem.data.constants
+    time = problem.grid.points["pressure"].time_s
+    surge = Flow({SUPPLY: 60.0 * np.exp(-time / 0.4)})
+    shown = problem.model.pressure_with_flow(surge, c, problem.base.active)
+    residual = problem.base.residual.copy()
+    here = problem.rows.block == BLOCKS.index("pressure")
+    residual[here] -= shown - residual_of(problem, c)
+    search = search_of(problem, replace(problem.base, residual=residual), "pressure", VALIDATION)
+    assert search is not None
+    first = search.select()[0]
+    assert (first.scale, first.inputs) == (SUPPLY, ("time_s",))
+
+
+def test_a_flow_over_time_says_nothing_of_slots_that_last_longer(
+    valve_problem: FitProblem,
+) -> None:
+    """A leak of 5 mg/s from 0.2 s on: as a sum over time it grows without end."""
+    problem, c = valve_problem, valve_problem.data.constants
+    time = problem.grid.points["pressure"].time_s
+    leak = Flow({FLOW: -5.0 * (time > 0.2)})
+    shown = problem.model.pressure_with_flow(leak, c, problem.base.active)
+    residual = problem.base.residual.copy()
+    here = problem.rows.block == BLOCKS.index("pressure")
+    residual[here] -= shown - residual_of(problem, c)
+    search = search_of(problem, replace(problem.base, residual=residual), "pressure", VALIDATION)
+    assert search is not None
+    slots = search.terms.slots
+    over_time = [p for p in search.pieces if p.scale == FLOW and "time_s" in p.inputs]
+    alone = replace(search, pieces=over_time, lasts=np.ones(len(slots)))
+    assert alone.select(frozenset({slots[0]}))
+    longer = np.where(np.arange(len(slots)) == 0, 2.0, 1.0)
+    assert not replace(alone, lasts=longer).select(frozenset({slots[0]}))
+    assert replace(alone, lasts=longer).select(frozenset({slots[1]}))
+
+
 def test_a_flow_in_proportion_is_near_what_the_simulated_gas_does(
     valve_problem: FitProblem,
 ) -> None:
@@ -184,7 +247,8 @@ def test_a_flow_in_proportion_is_near_what_the_simulated_gas_does(
     """
     c = valve_problem.data.constants
     grid = valve_problem.grid
-    for scale, amount in ((INLET_FLOW, 0.03), (OUTLET_FLOW, 0.03), ("inlet_on_ms", 0.3)):
+    small = ((INLET_FLOW, 0.03), (OUTLET_FLOW, 0.03), ("inlet_on_ms", 0.3), (SUPPLY, 3.0))
+    for scale, amount in small:
         through = valve_flows(grid, c)[scale]
         raised = risen(grid, amount * through[:, None], c)[:, 0]
         flow = Flow({scale: np.full(len(through), amount)})

@@ -56,6 +56,35 @@ def test_one_period_and_phase_in_all_slots_is_found() -> None:
     assert wave.period == pytest.approx(RIPPLE_S, rel=2e-3)
 
 
+def test_a_hum_too_fast_for_each_trial_is_told_by_trials_that_are_read_otherwise() -> None:
+    """50 Hz, of means of four readings every 3, 4 or 5 ms: in each of the rates it looks slower."""
+    rng = np.random.default_rng(3)
+    hum, apart, trial = [], [], []
+    times = []
+    for k in range(2 * SLOTS):
+        every = (0.003, 0.004, 0.005)[k % 3]
+        read = every * np.arange(800).reshape(-1, 4)
+        times.append(read.mean(axis=1))
+        hum.append(np.sin(2 * np.pi * 50.0 * read + 0.4).mean(axis=1))
+        apart.append(np.full(len(read), every))
+        trial.append(np.full(len(read), k))
+    time, numbers = np.concatenate(times), np.concatenate(trial)
+    values = np.concatenate(hum) + rng.normal(0.0, 0.3, len(time))
+    samples = np.full(len(time), 4.0)
+    rows = WaveRows(
+        values, np.ones(len(time)), numbers, numbers // 2, samples, np.concatenate(apart)
+    )
+    (wave,) = found(rows, time)
+    assert wave.period == pytest.approx(0.02, rel=1e-3)
+
+
+def test_of_hums_that_all_trials_show_alike_the_slowest_is_meant() -> None:
+    """47 Hz read every 20 ms is 3 Hz: no trial tells which it is."""
+    fast = np.sin(2 * np.pi * 47.0 * TIME + 0.4)
+    (wave,) = found(*rows_with(np.tile(fast, (SLOTS, 1))))
+    assert wave.period == pytest.approx(1.0 / 3.0, rel=2e-3)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_has_no_period(seed: int) -> None:
     assert found(*rows_with(np.zeros((SLOTS, len(TIME))), seed)) == []

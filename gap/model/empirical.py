@@ -28,6 +28,7 @@ from plant.effects.empirical import (
     READING,
     SEEN,
     SHORT_PULSES,
+    SUPPLY,
     VALVE_FLOW,
     Correction,
     braid_scales,
@@ -130,10 +131,12 @@ class Flow:
         step = np.r_[0.0, np.diff(points.time_s)]
         step[points.first[:-1][points.first[:-1] < len(step)]] = 0.0
         before = np.r_[0, np.arange(len(zero) - 1)]
+        supply = 1e3 * own[SUPPLY]
         return Push(
             0.5 * step * (rate + rate[before]),
             np.ascontiguousarray(0.5 * (valves + valves[:, before])),
             1e3 * own[READING],
+            0.5 * (supply + supply[before]),
         )
 
 
@@ -216,9 +219,24 @@ def _passing_away(grid: Grid, c: PlantConstants) -> Array:
     """Rate in 1/s at which a surplus of pressure leaves through the open valve, at every point."""
     points = grid.points["pressure"]
     per = pressure_per_flow(np.clip(points.length, 1e-4, 0.999 * c.braid_length_m), c)
-    open_share = _open_shares(grid, c)
-    less = open_share * (_through(grid, c, 0.0) - _through(grid, c, _SURPLUS_PA))
-    return np.asarray(np.maximum(less.sum(axis=0) * per / (1e-3 * _SURPLUS_PA), 0.0))
+    less = _open_shares(grid, c, risen_pa=_fitted(grid, c)) * _less_through(grid, c)
+    return np.asarray(np.maximum(less.sum(axis=0) * per, 0.0))
+
+
+def _less_through(grid: Grid, c: PlantConstants) -> Array:
+    """Flow in mg/s that each valve, if open, passes less for each kPa of surplus in the gas.
+
+    From what it passes on either side: at the pressure of the supply nothing flows back, but what
+    is missing flows in.
+    """
+    fitted = _fitted(grid, c)
+    less = _through(grid, c, -_SURPLUS_PA, fitted) - _through(grid, c, _SURPLUS_PA, fitted)
+    return np.asarray(less / (2e-3 * _SURPLUS_PA))
+
+
+def _fitted(grid: Grid, c: PlantConstants) -> float:
+    """What the constants' supply is above the one that was read or stated, Pa."""
+    return c.supply_pa - grid.data.constants.supply_pa
 
 
 _SURPLUS_PA = 1e3
@@ -229,11 +247,13 @@ def valve_flows(grid: Grid, c: PlantConstants) -> dict[str, Array]:
 
     ISO 6358 with the constants' conductances; out of the chamber a flow is negative. The flow of a
     valve is what passes while it is open by the constants' delays; that of `LATE` is what passes
-    more if it moves 1 ms later, that of `EDGES_LATE` if all commands act 1 ms later; for
-    `SHORT_PULSES` see `short_pulses`.
+    more if it moves 1 ms later, that of `EDGES_LATE` if all commands act 1 ms later, that of
+    `SUPPLY` what the inlet passes more if the supply is 1 kPa higher; for `SHORT_PULSES` see
+    `short_pulses`.
     """
-    through = _through(grid, c, 0.0)
-    share = _open_shares(grid, c)
+    fitted = _fitted(grid, c)
+    through = _through(grid, c, 0.0, fitted)
+    share = _open_shares(grid, c, risen_pa=fitted)
     inlet, outlet = share * through
     made = {
         VALVE_FLOW: np.asarray(inlet + outlet),
@@ -242,25 +262,35 @@ def valve_flows(grid: Grid, c: PlantConstants) -> dict[str, Array]:
     }
     for which, scale in enumerate(LATE):
         valve = which // 2
-        later = _open_shares(grid, c, which, _LATER_S)[valve] - share[valve]
+        later = _open_shares(grid, c, which, _LATER_S, risen_pa=fitted)[valve] - share[valve]
         made[scale] = np.asarray(later * through[valve] * 1e-3 / _LATER_S)
     made[EDGES_LATE] = np.sum([made[scale] for scale in LATE], axis=0)
-    made[SHORT_PULSES] = _of_short_pulses(grid, c, share, through)
+    made[SHORT_PULSES] = short_pulses(grid, c)
+    # A valve's delay depends on the pressure before it, too.
+    sooner = _open_shares(grid, c, risen_pa=fitted + 1e3)[0] - share[0]
+    made[SUPPLY] = share[0] * _more_from(grid, c, through[0]) + sooner * through[0]
     return made
+
+
+def _more_from(grid: Grid, c: PlantConstants, inlet: Array) -> Array:
+    """Flow in mg/s that an open inlet passes more for each kPa of its supply.
+
+    At the same ratio of the pressures a flow is in proportion to them, so what more supply does is
+    what less pressure of the gas does, and both go to their end as one.
+    """
+    supply_kpa = 1e-3 * np.maximum(grid.supply + c.atmosphere_pa + _fitted(grid, c), 1.0)
+    inside_kpa = 1e-3 * (grid.points["pressure"].pressure + c.atmosphere_pa)
+    return np.asarray((inlet + inside_kpa * _less_through(grid, c)[0]) / supply_kpa)
 
 
 def short_pulses(grid: Grid, c: PlantConstants) -> Array:
     """Flow in mg/s of the commands too short for their valve to move, at every point.
 
+    The supply is the one that was read or stated: what a fit moves it by would move this flow too.
     What would pass if all edges acted, each after its delay, beyond what passes; 0 where they do.
     """
-    return _of_short_pulses(grid, c, _open_shares(grid, c), _through(grid, c, 0.0))
-
-
-def _of_short_pulses(grid: Grid, c: PlantConstants, share: Array, through: Array) -> Array:
-    """The same, from openings and flows of both valves that are known, shape (2, points) each."""
-    more = _open_shares(grid, c, all_act=True) - share
-    return np.asarray(np.sum(more * through, axis=0))
+    more = _open_shares(grid, c, all_act=True) - _open_shares(grid, c)
+    return np.asarray(np.sum(more * _through(grid, c, 0.0), axis=0))
 
 
 _LATER_S = 1e-3
@@ -268,13 +298,15 @@ _LATER_S = 1e-3
 
 
 def _open_shares(
-    grid: Grid, c: PlantConstants, late: int = -1, late_s: float = 0.0, all_act: bool = False
-) -> Array:
+    grid: Grid, c: PlantConstants, late: int = -1, late_s: float = 0.0, all_act: bool = False,
+    risen_pa: float = 0.0,
+) -> Array:  # fmt: skip
     """Opening of inlet and outlet in the mean over the time around each point, shape (2, points).
 
     A valve acts after its delay; a command that has not acted yet when the next one comes is
     forgotten, unless the constants or `all_act` say that all edges act. `late` is the number of the
-    delay that is longer by `late_s`.
+    delay that is longer by `late_s`; `risen_pa` is what the supply is above what was read or
+    stated.
     """
     points = grid.points["pressure"]
     slots = nominal_slots(c)
@@ -289,7 +321,7 @@ def _open_shares(
         span = slice(int(grid.first_edge[trial]), int(grid.first_edge[trial + 1]))
         for valve in range(2):
             mine = grid.edge_of[span] == valve
-            upstream = grid.supply[own] if valve == 0 else points.pressure[own]
+            upstream = grid.supply[own] + risen_pa if valve == 0 else points.pressure[own]
             turns: list[tuple[float, float]] = []
             band = slots[DEAD_BAND + valve]
             command = 0.0
@@ -324,14 +356,15 @@ def _share_open(turns: list[tuple[float, float]], ends: Array) -> Array:
     return np.asarray(np.diff(open_s) / np.where(width > 0.0, width, 1.0))
 
 
-def _through(grid: Grid, c: PlantConstants, surplus_pa: float) -> Array:
-    """Flows in mg/s through inlet and outlet if open, with a surplus of pressure.
+def _through(grid: Grid, c: PlantConstants, surplus_pa: float, risen_pa: float = 0.0) -> Array:
+    """Flows in mg/s through inlet and outlet if open, with a surplus of pressure or of the supply
+    that was read or stated.
 
     Shape (2, points).
     """
     outside = c.atmosphere_pa
     inside = np.maximum(grid.points["pressure"].pressure + outside + surplus_pa, 1.0)
-    supply = np.maximum(grid.supply + outside, 1.0)
+    supply = np.maximum(grid.supply + outside + risen_pa, 1.0)
     dense = 1e6 * REFERENCE_DENSITY_KG_M3
     inlet = c.inlet_conductance_m3_s_pa * supply * _factor(inside / supply, c.critical_ratio)
     outlet = c.outlet_conductance_m3_s_pa * inside * _factor(outside / inside, c.critical_ratio)

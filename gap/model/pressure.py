@@ -416,7 +416,7 @@ def _trial(
     A reading that is NaN draws nothing: nothing is known there. `due` to `s` are scratch; `step`
     and `acting` are left alone where the reading is followed; with `_PUSH` it is followed, and
     `step` is what something else has added to the pressure since the node before, `more` what it
-    does to the valves and to the reading, as in `Push`.
+    does to the valves, to the reading and to the supply, as in `Push`.
     """
     waiting[:] = 0
     opened[:] = 0.0
@@ -463,6 +463,8 @@ def _trial(
         )
         slope = (v_end - v_begin) / (end - begin)
         feed = supply[i] + q[stage.SUPPLY_SHIFT]
+        if mode == _PUSH:
+            feed += more[7, i]
         busy = opened[0] > 0.0 or opened[1] > 0.0 or begin < acts
         more_in = more[0, i] if mode == _PUSH else 0.0
         more_out = more[1, i] if mode == _PUSH else 0.0
@@ -607,7 +609,7 @@ def _build(sources: int) -> Callable[..., None]:
 
 _run = _build(fingerprint())
 _NONE = np.empty(0)
-_NO_MORE = np.empty((7, 0))
+_NO_MORE = np.empty((8, 0))
 _WORTH_THREADS = 10_000
 
 
@@ -620,17 +622,20 @@ class Push:
         valves: to the flows of inlet and outlet since the node before, as a share of them; and to
             the delays with which the inlet opens and shuts, and the outlet, s; shape (6, nodes).
         reading: what the gauge shows too much, Pa, shape (nodes,).
+        supply: what the supply is higher since the node before, Pa, shape (nodes,).
     """
 
     pressure: Array
     valves: Array
     reading: Array
+    supply: Array
 
     def __add__(self, other: Push) -> Push:
         return Push(
             self.pressure + other.pressure,
             self.valves + other.valves,
             self.reading + other.reading,
+            self.supply + other.supply,
         )
 
 
@@ -643,7 +648,7 @@ def predict(*arrays: Any, push: Push | None = None) -> None:
     """
     step, more, mode = _NONE, _NO_MORE, _FOLLOW
     if push is not None:
-        step, more, mode = push.pressure, np.vstack([push.valves, push.reading]), _PUSH
+        step, more, mode = push.pressure, np.vstack([push.valves, push.reading, push.supply]), _PUSH
     q, first, *nodes, first_edge, edge_s, edge_to, edge_of, out, fall = arrays
 
     def run(trials: slice) -> float:

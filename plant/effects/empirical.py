@@ -19,12 +19,13 @@ in mg/s into the chamber, whose pressure it raises, with "valve_flow" a share of
 valve that is open, with "inlet_flow" or "outlet_flow" of that one alone; with "inlet_on_ms",
 "inlet_off_ms", "outlet_on_ms" or "outlet_off_ms" the time in ms by which that valve opens or shuts
 later than its delay says, with "edges_ms" that by which both valves do both; with "short_pulses"
-the share that passes of commands too short for their valve to move by its delays. What a flow
-raised is forgotten with `FORGOTTEN_S`. With the scale "reading" its splines are what the gauge
-shows too much, in kPa: the gas itself is below the reading by as much. With "cell" those of a force
-are what its cell shows too much, in N: a load that hangs on it is below its reading by as much.
-With "seen" those of a force or load are what the camera shows too much, in mm: where the length was
-read, and not held at a stated one, the muscle is shorter by as much.
+the share that passes of commands too short for their valve to move by its delays, with "supply"
+what the supply is above the stated one, in kPa. What a flow raised is forgotten with `FORGOTTEN_S`.
+With the scale "reading" its splines are what the gauge shows too much, in kPa: the gas itself is
+below the reading by as much. With "cell" those of a force are what its cell shows too much, in N: a
+load that hangs on it is below its reading by as much. With "seen" those of a force or load are what
+the camera shows too much, in mm: where the length was read, and not held at a stated one, the
+muscle is shorter by as much.
 
 A term with a `period` repeats in its first input: in the place of splines it has cosine and sine of
 that period and of half of it, in this order, and goes on beyond its knots, which say where it was
@@ -86,7 +87,9 @@ EDGES_LATE = "edges_ms"
 """Scale of a term whose splines are ms by which all commands act late."""
 SHORT_PULSES = "short_pulses"
 """Scale of a term of the pressure whose splines are the share that passes of short commands."""
-FLOWS = (FLOW, VALVE_FLOW, INLET_FLOW, OUTLET_FLOW, *LATE, EDGES_LATE, SHORT_PULSES)
+SUPPLY = "supply"
+"""Scale of a term of the pressure whose splines are kPa that the supply is above what is stated."""
+FLOWS = (FLOW, VALVE_FLOW, INLET_FLOW, OUTLET_FLOW, *LATE, EDGES_LATE, SHORT_PULSES, SUPPLY)
 """Scales of terms whose flow the simulated gas takes in."""
 READING = "reading"
 """Scale of a term of the pressure whose splines are what the gauge shows too much, kPa."""

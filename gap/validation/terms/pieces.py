@@ -42,6 +42,7 @@ from plant.effects.empirical import (
     SCALES,
     SEEN,
     SHORT_PULSES,
+    SUPPLY,
     VALVE_FLOW,
     columns_on,
     product_splines,
@@ -86,6 +87,8 @@ _FLOWS = (
     *((flow, own) for flow in (INLET_FLOW, OUTLET_FLOW)
       for own in ((), ("since_edge_s",), ("pressure_kpa",), ("time_s",), ("openings",))),
     (SHORT_PULSES, ()), (SHORT_PULSES, ("pressure_kpa",)),
+    # What is the same everywhere is a constant of the plant.
+    (SUPPLY, ("time_s",)), (SUPPLY, ("since_edge_s",)), (SUPPLY, ("order",)),
     *((READING, own) for own in ((), ("pressure_kpa",), ("temperature_c",), ("time_s",),
       ("order",))),
 )  # fmt: skip
@@ -325,7 +328,7 @@ def raised(problem: FitProblem, fit: FitResult, flows: FlowColumns) -> Array:
 
 
 def _flow_knots(x: Array, name: str, scale: str) -> tuple[float, ...]:
-    if scale in (INLET_FLOW, OUTLET_FLOW) and name == "time_s":
+    if scale in (INLET_FLOW, OUTLET_FLOW, SUPPLY) and name == "time_s":
         last = float(x.max())
         return (0.0, *(t for t in _START_KNOTS if t < 0.9 * last), last)
     return _knots(x, _FLOW_KNOTS.get(name, _USUAL_FLOW_KNOTS), name)

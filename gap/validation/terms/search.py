@@ -37,7 +37,16 @@ from gap.validation.terms.pieces import (
 from gap.validation.terms.refit import FittedTerm, TermColumns, fitted_with_term
 from gap.validation.terms.waves import Wave, WaveRows, waves_of
 from plant.arrays import Array
-from plant.effects.empirical import CELL, FLOWS, IN_GAS, INPUTS, READING, SCALE_INPUTS, SEEN
+from plant.effects.empirical import (
+    CELL,
+    FLOW,
+    IN_GAS,
+    INPUTS,
+    READING,
+    SCALE_INPUTS,
+    SEEN,
+    SUPPLY,
+)
 
 _RATE = "pressure_rate_kpa_s"
 HALF = 0.5
@@ -66,6 +75,7 @@ class TermSearch:
         lasts: time in s that the trials of every slot last.
         refused: errors of the block's sensor that entries of the catalogue say, and that the
             diagnosis has had to choose from; see `error_of_sensor`.
+        known: columns of the term that the constants were fitted with, if any.
     """
 
     block: str
@@ -81,6 +91,7 @@ class TermSearch:
     lasts: Array
     config: ValidationConfig
     refused: frozenset[str] = frozenset()
+    known: frozenset[int] = frozenset()
 
     def floor(self, without: frozenset[int]) -> float:
         """Squares of the floor on the slots that are not `without`."""
@@ -185,7 +196,7 @@ class TermSearch:
         """The simplest piece of those that do about as well as the best."""
         new = [p for p in self.pieces if not any(one.holds(p) for one in chosen)]
         if self._outlast(without):
-            new = [p for p in new if not (p.scale in FLOWS and "time_s" in p.inputs)]
+            new = [p for p in new if not (p.scale == FLOW and "time_s" in p.inputs)]
         tried: list[tuple[Piece, Array]] = []
         for piece in new:
             after = self.errors([*chosen, piece], without)
@@ -199,7 +210,9 @@ class TermSearch:
             return None
         best = min(tried, key=lambda one: float(one[1].sum()))
         known = {INPUTS[name] for piece in chosen for name in piece.inputs}
-
+        # All others are judged at its constants, and by how they act to first order.
+        if frozenset(best[0].at.tolist()) == self.known and not self.is_refused(best[0]):
+            return best
         floor = self.floor(without)
         left = max(float(best[1].sum()) - floor, 0.0)
 
@@ -362,6 +375,8 @@ def search_of(
             # A short flow must be larger to be seen as much as a long one. Constants that are led
             # astray hide most of a flow, so what it may be is told by the plant as stated.
             unit = np.sqrt(np.mean(columns[:, piece.at] ** 2, axis=0)) / max(size, stated)
+            if piece.scale == SUPPLY:  # where it is hardly seen it is no larger than elsewhere
+                unit = np.full(len(piece.at), unit.max(initial=0.0))
         else:  # a scale has its own unit
             unit = np.full(len(piece.at), _rms(scales.get(piece.scale)) / size)
         penalty[np.ix_(piece.at, piece.at)] = free * unit * unit[:, None]
@@ -377,8 +392,9 @@ def search_of(
         return None
     if first is not None:
         return replace(
-            first, fit=fit, pieces=pieces, basis=columns, beside=beside, flows=flows, terms=terms
-        )
+            first, fit=fit, pieces=pieces, basis=columns, beside=beside, flows=flows, terms=terms,
+            known=frozenset() if known is None else frozenset(known[0].tolist()),
+        )  # fmt: skip
     plain = terms
     if walled is not None and walled is not fit:
         none = np.empty((count, 0))

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from gap.validation.config import VALIDATION
 from plant.arrays import Array
-from plant.compiled import entry_point, fingerprint
+from plant.compiled import entry_point, fingerprint, inlined
 from plant.effects.arguments import Points
 from plant.effects.empirical import SEEN
 
@@ -128,24 +128,33 @@ def _periods(rows: WaveRows, x: Array, apart: Array, shape: Array, name: str) ->
     if not span > 0.0 or step is None or len(np.unique(rows.slot)) < VALIDATION.least_slots:
         return []
     each = 1.0 / (_FINER * span)
-    highest = 1.0 / step if by_trial else 0.5 / step
-    tried = _Tried(int(_LEAST_TURNS * _FINER), min(int(highest / each), _MOST // len(x)), each)
+    lowest = int(_LEAST_TURNS * _FINER)
+    # As often as there are readings is as good as never.
+    highest = int(1.0 / step / each) - lowest if by_trial else int(0.5 / step / each)
+    tried = _Tried(lowest, min(highest, _MOST // len(x)), each, int(0.5 / step / each) - lowest)
     if tried.count < _FINER:
         return []
     y, slow = _without_slow(rows, x, shape, groups, _SLOWEST[name])
     found = [_frequency(_Seen(rows, y, x, apart, shape, slow if by_trial else None), tried)]
     if by_trial:
         found.append(_frequency(_Seen(rows, rows.residual, x, apart, shape, None), tried))
-    return list(dict.fromkeys(float(f"{1.0 / one:.7g}") for one in found if one is not None))
+    some = [one for one in found if one is not None]
+    if len(some) > 1 and abs(some[0] - some[1]) < each:  # the same, and what is slow tells it best
+        some = some[1:]
+    return [float(f"{1.0 / one:.7g}") for one in some]
 
 
 @dataclass(frozen=True)
 class _Tried:
-    """Frequencies that are tried: from `first` to `end` times `each`, without the last one."""
+    """Frequencies that are tried: from `first` to `end` times `each`, without the last one.
+
+    The first `shown` are slower than half of the readings a second.
+    """
 
     first: int
     end: int
     each: float
+    shown: int
 
     @property
     def count(self) -> int:
@@ -159,8 +168,13 @@ def _frequency(seen: _Seen, tried: _Tried) -> float | None:
     sums = seen.sums(first, tried.each * tried.first, tried.each, tried.count)
     gain = _gain(sums.sum(axis=0))
     best = int(np.argmax(gain))
-    near = slice(max(best - _FINER, 0), best + _FINER + 1)
+    # Where all trials are read alike a faster one looks the same.
+    shown = int(np.argmax(gain[: tried.shown]))
     squares = np.bincount(np.searchsorted(slots, rows.slot), weights=rows.weight * seen.y**2)
+    noise = (squares.sum() - gain[best]) / len(rows.slot)
+    if gain[best] - gain[shown] < _CLEARLY * noise:
+        best = shown
+    near = slice(max(best - _FINER, 0), best + _FINER + 1)
     without = (np.delete(sums, k, axis=0).sum(axis=0) for k in range(len(slots)))
     again = [gain[best], *(float(_gain(some[:, near]).max()) for some in without)]
     most = np.r_[squares.sum(), squares.sum() - squares]
@@ -169,6 +183,9 @@ def _frequency(seen: _Seen, tried: _Tried) -> float | None:
     return seen.finest(tried.each * (tried.first + best), tried.each)
 
 
+_CLEARLY = 6.0
+"""Squares, in those of one row's noise, that a wave must take more than one that the readings of
+one trial show: likelier by e to the half of it."""
 _FINEST = 128
 """Frequencies tried on either side of the best."""
 
@@ -228,9 +245,7 @@ class _Seen:
     shape: Array
     slow: Array | None
 
-    def sums(
-        self, first: npt.NDArray[np.int64], lowest: float, each: float, count: int
-    ) -> Array:
+    def sums(self, first: npt.NDArray[np.int64], lowest: float, each: float, count: int) -> Array:
         """Sums over the rows of each slot, from which the fit of a wave follows.
 
         Args:
@@ -243,22 +258,24 @@ class _Seen:
         made = np.zeros((len(first), 5, count))
         ends = np.r_[first, len(self.x)]
         new = np.flatnonzero(np.r_[True, np.diff(self.rows.trial) != 0, True])
-        slow = np.zeros((len(self.x), 0)) if self.slow is None else self.slow
-        _sum_up(
-            ends.astype(np.int64), new.astype(np.int64), np.ascontiguousarray(self.x),
-            np.ascontiguousarray(self.apart), np.ascontiguousarray(self.rows.samples),
-            np.ascontiguousarray(self.shape), np.ascontiguousarray(self.rows.weight),
-            np.ascontiguousarray(self.y), np.ascontiguousarray(slow), lowest, each, made,
-        )  # fmt: skip
+        slow = np.zeros((len(self.x), 0)) if self.slow is None else np.ascontiguousarray(self.slow)
+        rows = np.stack(
+            [self.x, self.apart, self.rows.samples, self.shape, self.rows.weight, self.y]
+        )
+        whole = np.int64
+        _sum_up(ends.astype(whole), new.astype(whole), rows, slow, lowest, each, made)
         return made
-
 
     def finest(self, middle: float, width: float) -> float:
         """The frequency that takes most within some width of another."""
         each = width / _FINEST
         start = middle - width
         around = _gain(self.sums(np.array([0]), start, each, 2 * _FINEST + 1)[0])
-        return start + each * int(np.argmax(around))
+        best = min(max(int(np.argmax(around)), 1), 2 * _FINEST - 1)
+        low, most, high = around[best - 1 : best + 2]
+        bend = 2.0 * most - low - high
+        beyond = 0.5 * (high - low) / bend if bend > 0.0 else 0.0
+        return start + each * (best + min(max(beyond, -1.0), 1.0))
 
 
 def _gain(sums: Array) -> Array:
@@ -269,19 +286,42 @@ def _gain(sums: Array) -> Array:
     return np.asarray((ss * a**2 - 2.0 * cs * a * b + cc * b**2) / (cc * ss - cs**2))
 
 
+@inlined
+def _mean_share(nc: Any, ns: Any, oc: Any, os: Any, samples: Any) -> Any:
+    """What is left of a wave in the mean of its readings (Dirichlet's kernel).
+
+    Args:
+        nc: cosine and `ns` sine of half of its turn over all of them.
+        oc: cosine and `os` sine of half of its turn from one to the next.
+    """
+    return ns / (samples * os) if abs(os) > 1e-6 else nc / oc
+
+
+@inlined
+def _take_out(part: Any, sums: Any) -> None:
+    """Takes what is slow of the waves of a trial out of the sums of their products."""
+    for k in range(part.shape[0]):
+        for j in range(part.shape[2]):
+            a, b = part[k, 0, j], part[k, 1, j]
+            sums[2, j] -= a * a
+            sums[3, j] -= a * b
+            sums[4, j] -= b * b
+            part[k, 0, j] = 0.0
+            part[k, 1, j] = 0.0
+
+
 def _build_sum_up(sources: int) -> Callable[..., None]:
-    whole, vector = "int64[::1]", "float64[::1]"
+    whole, matrix = "int64[::1]", "float64[:, ::1]"
 
     @entry_point(
-        f"void({whole}, {whole}, {', '.join([vector] * 6)}, float64[:, ::1], float64, float64, "
-        "float64[:, :, ::1])"
+        f"void({whole}, {whole}, {matrix}, {matrix}, float64, float64, float64[:, :, ::1])"
     )
     def sum_up(
-        ends: Any, new: Any, x: Any, apart: Any, samples: Any, shape: Any, weight: Any, y: Any,
-        slow: Any, lowest: Any, each: Any, sums: Any,
-    ) -> None:  # fmt: skip
+        ends: Any, new: Any, rows: Any, slow: Any, lowest: Any, each: Any, sums: Any
+    ) -> None:
         if sources < 0:
             return
+        x, apart, samples, shape, weight, y = rows
         count, degrees = sums.shape[2], slow.shape[1]
         # What is slow of the waves of one trial.
         part = np.zeros((degrees, 2, count))
@@ -291,8 +331,7 @@ def _build_sum_up(sources: int) -> Callable[..., None]:
                 slot += 1
             if r == new[trial + 1]:
                 trial += 1
-            # Three turning arrows: the wave at the row's middle, and the sines whose quotient is
-            # its mean over so many readings (Dirichlet's kernel).
+            # Three turning arrows: the wave at the row's middle, and what its mean follows from.
             turn = 2.0 * math.pi * x[r]
             width = math.pi * apart[r]
             c, s = math.cos(lowest * turn), math.sin(lowest * turn)
@@ -305,10 +344,7 @@ def _build_sum_up(sources: int) -> Callable[..., None]:
             for j in range(count):
                 seen = shape[r]
                 if width > 0.0:
-                    if abs(os) > 1e-6:
-                        seen *= ns / (samples[r] * os)
-                    else:
-                        seen *= nc / oc
+                    seen *= _mean_share(nc, ns, oc, os, samples[r])
                 a, b = c * seen, s * seen
                 sums[slot, 0, j] += own * a
                 sums[slot, 1, j] += own * b
@@ -322,14 +358,7 @@ def _build_sum_up(sources: int) -> Callable[..., None]:
                 nc, ns = nc * dnc - ns * dns, ns * dnc + nc * dns
                 oc, os = oc * doc - os * dos, os * doc + oc * dos
             if r + 1 == new[trial + 1]:
-                for k in range(degrees):
-                    for j in range(count):
-                        a, b = part[k, 0, j], part[k, 1, j]
-                        sums[slot, 2, j] -= a * a
-                        sums[slot, 3, j] -= a * b
-                        sums[slot, 4, j] -= b * b
-                        part[k, 0, j] = 0.0
-                        part[k, 1, j] = 0.0
+                _take_out(part, sums[slot])
 
     return sum_up
 
