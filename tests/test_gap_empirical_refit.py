@@ -166,10 +166,24 @@ def told(table: dict[str, list[float]], gap: float) -> tuple[Told, dict[str, Pie
         nothing,
         np.full(3, gap / 3.0),
         np.full(3, 2.0),
+        np.ones(3),
         VALIDATION,
     )
     search.table = {frozenset(key.split()): np.array(x) for key, x in table.items()}
     return search, pieces
+
+
+def test_the_piece_that_the_constants_were_fitted_with_is_taken_where_it_is_the_best() -> None:
+    """At those constants the others are fitted to first order only: to do as well says little."""
+    search, pieces = told(
+        {"": [100.0, 100.0, 100.0], "a": [5.0, 5.0, 5.0], "b": [4.0, 4.0, 4.0],
+         "a b": [4.0, 4.0, 4.0]}, 300.0,
+    )  # fmt: skip
+    larger = replace(pieces["b"], at=np.array([1, 2]))
+    search.pieces = (pieces["a"], larger)
+    assert search.select()[0] is pieces["a"]
+    search.known = frozenset({1, 2})
+    assert search.select() == [larger]
 
 
 def test_a_piece_on_which_most_of_what_is_closed_hangs_is_kept_in_one_slot_as_well() -> None:
