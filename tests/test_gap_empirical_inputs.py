@@ -31,7 +31,7 @@ from gap.reason import Cause, Reason
 from gap.reporting.empirical import empirical_figure, empirical_lines, empirical_sentences
 from gap.validation.config import VALIDATION
 from gap.validation.empirical import empirical_term
-from gap.validation.terms.search import search_of
+from gap.validation.terms.search import TermSearch, search_of
 from gap.verdict import Status, Verdict
 from gap_bench import write_set
 from plant.constants import PlantConstants, nominal
@@ -177,6 +177,18 @@ def test_commands_that_all_act_late_are_four_longer_delays(valve_problem: FitPro
     assert shown == pytest.approx(residual_of(valve_problem, later), abs=1e-6)
 
 
+def search_of_flow(problem: FitProblem, flow: Flow) -> TermSearch:
+    """The search of a bench whose gas takes in a flow that the plant does not have."""
+    c = problem.data.constants
+    shown = problem.model.pressure_with_flow(flow, c, problem.base.active)
+    residual = problem.base.residual.copy()
+    here = problem.rows.block == BLOCKS.index("pressure")
+    residual[here] -= shown - residual_of(problem, c)
+    search = search_of(problem, replace(problem.base, residual=residual), "pressure", VALIDATION)
+    assert search is not None
+    return search
+
+
 def test_a_higher_supply_is_one_with_more_pressure(valve_problem: FitProblem) -> None:
     c = valve_problem.data.constants
     count = len(valve_problem.grid.points["pressure"].time_s)
@@ -203,16 +215,9 @@ def test_what_a_supply_that_was_fitted_feeds_is_what_a_higher_one_does(
 def test_a_supply_that_is_high_as_a_trial_begins_is_told_from_a_flow(
     valve_problem: FitProblem,
 ) -> None:
-    problem, c = valve_problem, valve_problem.data.constants
-    time = problem.grid.points["pressure"].time_s
+    time = valve_problem.grid.points["pressure"].time_s
     surge = Flow({SUPPLY: 60.0 * np.exp(-time / 0.4)})
-    shown = problem.model.pressure_with_flow(surge, c, problem.base.active)
-    residual = problem.base.residual.copy()
-    here = problem.rows.block == BLOCKS.index("pressure")
-    residual[here] -= shown - residual_of(problem, c)
-    search = search_of(problem, replace(problem.base, residual=residual), "pressure", VALIDATION)
-    assert search is not None
-    first = search.select()[0]
+    first = search_of_flow(valve_problem, surge).select()[0]
     assert (first.scale, first.inputs) == (SUPPLY, ("time_s",))
 
 
@@ -220,14 +225,8 @@ def test_a_flow_over_time_says_nothing_of_slots_that_last_longer(
     valve_problem: FitProblem,
 ) -> None:
     """A leak of 0.1 mg/s: as a sum over time it grows without end."""
-    problem, c = valve_problem, valve_problem.data.constants
-    leak = Flow({FLOW: np.full(len(problem.grid.points["pressure"].time_s), -0.1)})
-    shown = problem.model.pressure_with_flow(leak, c, problem.base.active)
-    residual = problem.base.residual.copy()
-    here = problem.rows.block == BLOCKS.index("pressure")
-    residual[here] -= shown - residual_of(problem, c)
-    search = search_of(problem, replace(problem.base, residual=residual), "pressure", VALIDATION)
-    assert search is not None
+    leak = Flow({FLOW: np.full(len(valve_problem.grid.points["pressure"].time_s), -0.1)})
+    search = search_of_flow(valve_problem, leak)
     over_time = [p for p in search.pieces if p.scale == FLOW and "time_s" in p.inputs]
     alone = replace(search, pieces=over_time)
     longest = int(np.argmax(search.lasts))
