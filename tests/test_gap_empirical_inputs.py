@@ -206,7 +206,8 @@ def test_what_a_supply_that_was_fitted_feeds_is_what_a_higher_one_does(
     higher = replace(c, supply_pa=c.supply_pa + 2e3)
     inlet, more = (valve_flows(grid, c)[scale] for scale in (INLET_FLOW, SUPPLY))
     fed = valve_flows(grid, higher)[INLET_FLOW] - inlet
-    # Near the supply the flow rises as a root: no slope tells it.
+    # Near the supply the flow rises as a root: no slope tells it. Elsewhere it bends a little, and
+    # a valve whose delay depends on its supply moves by a part of a point: 3 % over 2 kPa.
     filling = grid.points["pressure"].pressure < c.supply_pa - 50e3
     assert fed[filling].max() > 0.2
     assert np.abs(fed - 2.0 * more)[filling].mean() < 0.03 * np.abs(fed[filling]).mean()

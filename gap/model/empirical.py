@@ -275,8 +275,9 @@ def valve_flows(grid: Grid, c: PlantConstants) -> dict[str, Array]:
 def _more_from(grid: Grid, c: PlantConstants, inlet: Array) -> Array:
     """Flow in mg/s that an open inlet passes more for each kPa of its supply.
 
-    At the same ratio of the pressures a flow is in proportion to them, so what more supply does is
-    what less pressure of the gas does, and both go to their end as one.
+    Where both pressures rise by the same share, so does the flow (ISO 6358). What more supply does
+    therefore follows from what less pressure of the gas does: the same slope as in
+    `_passing_away`, so that a surplus ends where the gas has the pressure of its supply.
     """
     supply_kpa = 1e-3 * np.maximum(grid.supply + c.atmosphere_pa + _fitted(grid, c), 1.0)
     inside_kpa = 1e-3 * (grid.points["pressure"].pressure + c.atmosphere_pa)
@@ -286,8 +287,9 @@ def _more_from(grid: Grid, c: PlantConstants, inlet: Array) -> Array:
 def short_pulses(grid: Grid, c: PlantConstants) -> Array:
     """Flow in mg/s of the commands too short for their valve to move, at every point.
 
-    The supply is the one that was read or stated: what a fit moves it by would move this flow too.
     What would pass if all edges acted, each after its delay, beyond what passes; 0 where they do.
+    The supply is the one that was read or stated, as a muscle that such commands fill leads the
+    fitted constants far astray.
     """
     more = _open_shares(grid, c, all_act=True) - _open_shares(grid, c)
     return np.asarray(np.sum(more * _through(grid, c, 0.0), axis=0))
@@ -357,10 +359,11 @@ def _share_open(turns: list[tuple[float, float]], ends: Array) -> Array:
 
 
 def _through(grid: Grid, c: PlantConstants, surplus_pa: float, risen_pa: float = 0.0) -> Array:
-    """Flows in mg/s through inlet and outlet if open, with a surplus of pressure or of the supply
-    that was read or stated.
+    """Flows in mg/s through inlet and outlet if open, shape (2, points).
 
-    Shape (2, points).
+    Args:
+        surplus_pa: what the gas is above its reading.
+        risen_pa: what the supply is above what was read or stated.
     """
     outside = c.atmosphere_pa
     inside = np.maximum(grid.points["pressure"].pressure + outside + surplus_pa, 1.0)

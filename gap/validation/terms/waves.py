@@ -128,10 +128,10 @@ def _periods(rows: WaveRows, x: Array, apart: Array, shape: Array, name: str) ->
     if not span > 0.0 or step is None or len(np.unique(rows.slot)) < VALIDATION.least_slots:
         return []
     each = 1.0 / (_FINER * span)
-    lowest = int(_LEAST_TURNS * _FINER)
-    # As often as there are readings is as good as never.
-    highest = int(1.0 / step / each) - lowest if by_trial else int(0.5 / step / each)
-    tried = _Tried(lowest, min(highest, _MOST // len(x)), each, int(0.5 / step / each) - lowest)
+    lowest, half = int(_LEAST_TURNS * _FINER), int(0.5 / step / each)
+    # A wave with one period from reading to reading looks like a constant.
+    highest = int(1.0 / step / each) - lowest if by_trial else half
+    tried = _Tried(lowest, min(highest, _MOST // len(x)), each, half - lowest)
     if tried.count < _FINER:
         return []
     y, slow = _without_slow(rows, x, shape, groups, _SLOWEST[name])
@@ -139,7 +139,7 @@ def _periods(rows: WaveRows, x: Array, apart: Array, shape: Array, name: str) ->
     if by_trial:
         found.append(_frequency(_Seen(rows, rows.residual, x, apart, shape, None), tried))
     some = [one for one in found if one is not None]
-    if len(some) > 1 and abs(some[0] - some[1]) < each:  # the same, and what is slow tells it best
+    if len(some) > 1 and abs(some[0] - some[1]) < each:  # the whole residual tells the same best
         some = some[1:]
     return [float(f"{1.0 / one:.7g}") for one in some]
 
@@ -168,7 +168,7 @@ def _frequency(seen: _Seen, tried: _Tried) -> float | None:
     sums = seen.sums(first, tried.each * tried.first, tried.each, tried.count)
     gain = _gain(sums.sum(axis=0))
     best = int(np.argmax(gain))
-    # Where all trials are read alike a faster one looks the same.
+    # Where all trials are read alike, a faster one looks like one that their readings show.
     shown = int(np.argmax(gain[: tried.shown]))
     squares = np.bincount(np.searchsorted(slots, rows.slot), weights=rows.weight * seen.y**2)
     noise = (squares.sum() - gain[best]) / len(rows.slot)
@@ -184,8 +184,8 @@ def _frequency(seen: _Seen, tried: _Tried) -> float | None:
 
 
 _CLEARLY = 6.0
-"""Squares, in those of one row's noise, that a wave must take more than one that the readings of
-one trial show: likelier by e to the half of it."""
+"""How much more a wave that is faster than half of the readings a second must take than the best of
+the slower ones, in variances of a row's noise: a ratio of likelihoods of about 20."""
 _FINEST = 128
 """Frequencies tried on either side of the best."""
 
