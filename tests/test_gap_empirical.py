@@ -31,7 +31,7 @@ from gap.model.features import BLOCKS
 from gap.reason import Cause, Reason
 from gap.reporting.empirical import empirical_figure, empirical_lines
 from gap.validation.config import VALIDATION
-from gap.validation.empirical import _closes, _searches, empirical_term
+from gap.validation.empirical import _closing, _searches, empirical_term
 from gap.validation.improved_plant import improved_plant
 from gap.validation.terms.search import search_of
 from gap.verdict import EmpiricalTerm, Explanation, Status, Verdict
@@ -393,10 +393,10 @@ def test_a_gap_in_one_slot_is_closed_where_the_term_foretold_it() -> None:
     found = one_slot.closed()
     assert found is not None
     assert found[1] < 0.0
-    assert _closes(one_slot, VALIDATION)
-    assert not _closes(held([47.0, 96.0, 32.0, 1e6], [42.0, 50.0, 26.0, 2e5]), VALIDATION)
+    assert _closing(one_slot, VALIDATION)
+    assert not _closing(held([47.0, 96.0, 32.0, 1e6], [42.0, 50.0, 26.0, 2e5]), VALIDATION)
     two_slots = held([47.0, 1.0, 1e5, 7e5], [42.0, 300.0, 7.5e4, 1e3])
-    assert not _closes(two_slots, VALIDATION)  # of one large slot it closes a quarter
+    assert not _closing(two_slots, VALIDATION)  # of one large slot it closes a quarter
 
 
 def test_a_gap_is_closed_where_half_of_it_was_foretold_in_each_of_three_slots_that_have_one() -> (
@@ -408,11 +408,30 @@ def test_a_gap_is_closed_where_half_of_it_was_foretold_in_each_of_three_slots_th
     found = held(before, after).closed()
     assert found is not None
     assert found[1] < 0.0
-    assert _closes(held(before, after), VALIDATION)
+    assert _closing(held(before, after), VALIDATION)
     one_missed = [2.9, 10.0, 1.7, 143.0, 0.8]
-    assert not _closes(held(before, one_missed), VALIDATION)
+    assert not _closing(held(before, one_missed), VALIDATION)
     two_with_gap = [1.5, 1.6, 30.0, *before[3:]]
-    assert not _closes(held(two_with_gap, [1.2, 1.2, *after[2:]]), VALIDATION)
+    assert not _closing(held(two_with_gap, [1.2, 1.2, *after[2:]]), VALIDATION)
+
+
+def test_a_floor_that_a_term_undercuts_is_none() -> None:
+    """Practice set 45536: a muscle that wears has replicates that differ by more than scatter."""
+    before, after = np.array([122.1, 19.7, 10.5, 19.5]), np.array([26.7, 5.3, 11.0, 2.4])
+    floor = np.array([96.1, 6.4, 7.4, 0.4])
+    worn = HeldOut(before, before, after, floor, np.ones(4))
+    found = worn.closed()
+    assert found is not None
+    assert found[0] > 2.0
+    closing = _closing(worn, VALIDATION)
+    assert closing is not None
+    assert closing.floor == pytest.approx([26.7, 5.3, 7.4, 0.4])
+    found = closing.closed()
+    assert found is not None
+    assert 0.9 < found[0] < 1.0
+    # A term that stays above the floor in all says nothing of it.
+    above = replace(worn, after=after + np.array([80.0, 0.0, 0.0, 0.0]))
+    assert above.with_floor_shown() is above
 
 
 def test_a_leak_without_a_name_is_found_by_the_pressure_that_drives_it(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 
 from gap.data.reader import read_dataset
+from gap.decision.diagnose import candidates_without
 from gap.estimation.fit_problem import FitProblem
 from gap.model.empirical import (
     Flow,
@@ -37,7 +38,7 @@ from gap_bench import write_set
 from plant.constants import PlantConstants, nominal
 from plant.effects.empirical import (
     CELL,
-    EDGES_LATE,
+    CELL_GAIN,
     FLOW,
     INLET_FLOW,
     LATE,
@@ -167,13 +168,23 @@ def test_a_late_valve_is_one_with_a_longer_delay(valve_problem: FitProblem, scal
     assert shown == pytest.approx(expected, abs=1e-6)
 
 
-def test_commands_that_all_act_late_are_four_longer_delays(valve_problem: FitProblem) -> None:
+@pytest.mark.parametrize(
+    ("scale", "delays"),
+    [
+        ("opens_ms", ("inlet_on_s", "outlet_on_s")),
+        ("shuts_ms", ("inlet_off_s", "outlet_off_s")),
+        ("edges_ms", ("inlet_on_s", "inlet_off_s", "outlet_on_s", "outlet_off_s")),
+    ],
+)
+def test_valves_that_both_act_late_have_two_or_four_longer_delays(
+    valve_problem: FitProblem, scale: str, delays: tuple[str, ...]
+) -> None:
     c = valve_problem.data.constants
     count = len(valve_problem.grid.points["pressure"].time_s)
-    flow = Flow({EDGES_LATE: np.full(count, 3.0)})
+    flow = Flow({scale: np.full(count, 3.0)})
     shown = valve_problem.model.pressure_with_flow(flow, c, valve_problem.base.active)
-    fields = [f"{scale.removesuffix('_ms')}_s" for scale in LATE]
-    later = replace(c, **{field: getattr(c, field) + 3e-3 for field in fields})
+    later = replace(c, **{field: getattr(c, field) + 3e-3 for field in delays})
+    assert np.abs(residual_of(valve_problem, later) - residual_of(valve_problem, c)).max() > 1.0
     assert shown == pytest.approx(residual_of(valve_problem, later), abs=1e-6)
 
 
@@ -331,8 +342,32 @@ def test_a_gauge_whose_reading_is_all_error_is_none(
     fit = replace(valve_problem.base, residual=residual)
     search = search_of(valve_problem, fit, "pressure", VALIDATION, first)
     assert search is not None
-    assert search._leaves_a_gauge([gauge], frozenset()) is is_one
+    assert search._leaves_a_plant([gauge], frozenset()) is is_one
     assert is_one or all(piece is not gauge for piece in search.select())
+
+
+@pytest.mark.parametrize(("share", "carries"), [(0.2, True), (0.9, False)])
+def test_a_muscle_that_pulls_the_same_whatever_it_does_carries_no_load(
+    share: float, carries: bool, valve_problem: FitProblem
+) -> None:
+    """A term that takes what a pull changes leaves its mean, which is the load: any gap is closed.
+
+    Creep takes a fifth of it.
+    """
+    few = replace(VALIDATION, least_slots=2)  # two loads
+    open_gap = replace(valve_problem.base, residual=np.full(len(valve_problem.rows), 50.0))
+    first = search_of(valve_problem, open_gap, "load", few)
+    assert first is not None
+    changes = (p for p in first.pieces if p.inputs == ("pull_change_10s_n",) and not p.scale)
+    line = next(p for p in changes if len(p.at) == 2)
+    residual = np.zeros(len(valve_problem.rows))
+    here = valve_problem.rows.block == BLOCKS.index("load")
+    residual[here] = first.basis[:, line.at] @ (-share * np.array(line.knots[0]))
+    search = search_of(
+        valve_problem, replace(valve_problem.base, residual=residual), "load", few, first
+    )
+    assert search is not None
+    assert search._leaves_a_plant([line], frozenset()) is carries
 
 
 def test_nothing_passes_a_valve_that_is_commanded_shut_before_it_has_opened(
@@ -382,6 +417,49 @@ def test_what_a_force_cell_shows_too_much_is_missing_in_the_load_that_it_weighs(
     for block, added in (("force", -2.0), ("load", 2.0)):
         assert with_term[block] - without[block] == pytest.approx(added)
         assert with_term[block] == pytest.approx(with_zero[block])
+
+
+def test_a_cell_that_shows_a_share_too_much_weighs_its_load_as_much_too_heavy(
+    tmp_path: Path,
+) -> None:
+    """4 % of what the braid pulls, and 4 % of what the cell reads of the load."""
+    data = read_dataset(write_set(tmp_path / "data", {}, weighed=True))
+    plain = FitProblem.of(data)
+    shown = Correction("force", (SplineTerm((), (), (0.04,), CELL_GAIN),))
+    stated = FitProblem.of(replace(data, corrections=Corrections({"force": shown})))
+    c, active = data.constants, plain.base.active
+    with_term, without = (
+        one.model.residual(c, active, ("force", "load")) for one in (stated, plain)
+    )
+    rows = plain.rows
+    here = rows.block == BLOCKS.index("force")
+    length, pressure = rows.length[here], rows.pressure[here]
+    pull = pressure * (3.0 * length**2 - c.braid_length_m**2) / (4.0 * np.pi * c.turns**2)
+    assert with_term["force"] - without["force"] == pytest.approx(-0.04 * pull)
+    points = plain.grid.points["load"]
+    total = np.bincount(points.row, weights=points.reading * points.weight)
+    read = total / np.bincount(points.row, weights=points.weight)
+    assert read.min() > 5.0
+    assert with_term["load"] - without["load"] == pytest.approx(0.04 * read)
+
+
+def test_a_scale_of_a_force_cell_is_found_as_such(tmp_path: Path) -> None:
+    """10 % too much, in the force and in what weighs the load."""
+    folder = write_set(tmp_path / "data", {}, weighed=True)
+    samples = pd.read_parquet(folder / "samples.parquet")
+    samples["force_n"] *= 1.1
+    samples.to_parquet(folder / "samples.parquet", index=False)
+    struck = candidates_without(["force_gain"])
+    problem = FitProblem.of(read_dataset(folder), struck)
+    term = empirical_term(problem, problem.base, block="force")
+    assert term is not None
+    (only,) = term.correction.terms
+    assert (only.scale, only.inputs) == (CELL_GAIN, ())
+    assert only.coefficients[0] == pytest.approx(0.1, abs=0.02)
+    assert term.closed > 0.9
+    assert term.expression is None
+    told = Verdict(Status.UNKNOWN, Reason(Cause.NO_GAP), "sensor", (), 0.1, 0.9, empirical=term)
+    assert "an error of the force cell in proportion" in " ".join(empirical_lines(told))
 
 
 def test_an_error_of_a_force_cell_is_told_from_one_of_the_muscle_by_the_load(
@@ -439,6 +517,57 @@ def test_a_scale_of_the_camera_is_found_as_an_error_of_what_it_reads(tmp_path: P
     assert term.closed > 0.9
     told = Verdict(Status.UNKNOWN, Reason(Cause.NO_GAP), "sensor", (), 0.1, 0.9, empirical=term)
     assert "error of the length that the camera reads" in " ".join(empirical_lines(told))
+
+
+def test_a_camera_that_is_late_shows_the_length_of_an_instant_before(tmp_path: Path) -> None:
+    """The length falls at 0.8 mm/s, rests, and rises again."""
+    grid = slow_cycles(tmp_path / "data")
+    for name, falls in (("moves_100ms_mm", -0.08), ("moved_150ms_mm", -0.12)):
+        time, moved = of_trial(grid, 1, name)
+        assert moved[(time > 1.0) & (time < 14.0)] == pytest.approx(falls, abs=1e-6)
+        assert moved[(time > 16.0) & (time < 44.0)] == pytest.approx(0.0, abs=1e-6)
+        assert moved[(time > 46.0) & (time < 59.0)] == pytest.approx(-falls, abs=1e-6)
+        assert np.all(of_trial(grid, 0, name)[1] == 0.0)
+
+
+def test_a_camera_whose_clock_is_ahead_is_found_as_a_shift_in_time(tmp_path: Path) -> None:
+    """By 100 ms, of muscles that swing at 0.7 to 1.6 Hz; the catalogue's entry is struck."""
+    rng = np.random.default_rng(7)
+    c = nominal()
+    time = np.arange(0.0, 12.0, 0.01)
+    trials, tables = [], []
+    for slot, (pressure, hertz) in enumerate(((150.0, 0.7), (250.0, 1.0), (350.0, 1.6))):
+        for again in range(3):
+            name = f"t{slot}{again}"
+            length, seen = (
+                62.0 + 4.0 * np.sin(2.0 * np.pi * hertz * t) for t in (time, time + 0.1)
+            )
+            braid = 3.0 * (length * 1e-3) ** 2 - c.braid_length_m**2
+            force = pressure * 1e3 * braid / (4.0 * np.pi * c.turns**2)
+            noise = rng.normal(0.0, 1.0, (3, len(time)))
+            trials.append(
+                {"trial": name, "slot": f"s{slot}", "protocol": "isobaric",
+                 "held_length_mm": np.nan}
+            )  # fmt: skip
+            tables.append(
+                pd.DataFrame(
+                    {"trial": name, "time_s": time, "pressure_kpa": pressure + 0.1 * noise[0],
+                     "length_mm": seen + 0.01 * noise[1], "force_n": force + 0.1 * noise[2]}
+                )
+            )  # fmt: skip
+    folder = tmp_path / "data"
+    folder.mkdir()
+    pd.DataFrame(trials).to_csv(folder / "trials.csv", index=False)
+    pd.concat(tables).to_csv(folder / "samples.csv", index=False)
+    problem = FitProblem.of(read_dataset(folder), candidates_without(["camera_delay"]))
+    term = empirical_term(problem, problem.base, block="force")
+    assert term is not None
+    (only,) = term.correction.terms
+    assert (only.scale, only.inputs) == ("pull_per_mm", ("moved_100ms_mm",))
+    # The muscle is where the camera has shown it 100 ms before.
+    assert np.diff(only.coefficients)[0] < -0.5 * np.diff(only.knots[0])[0]
+    assert term.closed > 0.99
+    assert "velocity" in term.shares
 
 
 def test_a_valve_s_share_of_the_time_is_that_between_its_turns() -> None:

@@ -7,7 +7,7 @@ left out. The floor is the scatter of the replicates of a slot.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -41,6 +41,15 @@ class HeldOut:
         """Root mean square error over all units."""
         total = float(self.weight.sum())
         return float(np.sqrt(max(float(getattr(self, which).sum()), 0.0) / max(total, 1e-12)))
+
+    def with_floor_shown(self) -> HeldOut:
+        """The same with no floor above the error that was reached, where that is less in all.
+
+        Replicates that an effect makes differ, such as wear, show more than their scatter.
+        """
+        if float(self.after.sum()) >= float(self.floor.sum()):
+            return self
+        return replace(self, floor=np.minimum(self.floor, self.after))
 
     def closed(self, least: int = 3) -> tuple[float, float, float] | None:
         """Closed fraction with its 95 % interval by the jackknife over `least` units or more.

@@ -17,13 +17,14 @@ from plant.compiled import entry_point, fingerprint
 from plant.constants import REFERENCE_DENSITY_KG_M3, PlantConstants
 from plant.effects.arguments import Points
 from plant.effects.empirical import (
-    CELL,
-    EDGES_LATE,
+    ALL_LATE,
+    CELL_GAIN,
     FLOW,
     FORGOTTEN_S,
     IN_GAS,
     INLET_FLOW,
     LATE,
+    OF_CELL,
     OUTLET_FLOW,
     READING,
     SEEN,
@@ -66,16 +67,27 @@ def in_load(grid: Grid, force: Correction, c: PlantConstants) -> Array:
     missing there.
 
     Args:
-        force: correction of the force, of which the terms with the scale "cell" count.
+        force: correction of the force, of which the terms with a scale of `OF_CELL` count.
     """
-    shown = tuple(replace(t, scale="") for t in force.terms if t.scale == CELL)
-    made = correction_at(grid, Correction("load", shown), c)
-    return np.asarray(-made * weighed(grid))
+    made = np.zeros(int((grid.rows.block == BLOCKS.index("load")).sum()))
+    for scale in OF_CELL:
+        own = tuple(replace(t, scale="") for t in force.terms if t.scale == scale)
+        if own:
+            shown = correction_at(grid, Correction("load", own), c)
+            made -= shown * weighed(grid, in_proportion=scale == CELL_GAIN)
+    return made
 
 
-def weighed(grid: Grid) -> Array:
-    """Share of the points of every row of the load at which a force cell read it."""
+def weighed(grid: Grid, in_proportion: bool = False) -> Array:
+    """Share of the points of every row of the load at which a force cell read it.
+
+    Args:
+        in_proportion: what it read there instead, N: what an error in proportion to it is a share
+            of.
+    """
     points = grid.points["load"]
+    if in_proportion:
+        return _means(points, np.nan_to_num(points.reading))
     return _means(points, np.isfinite(points.reading).astype(np.float64))
 
 
@@ -120,7 +132,10 @@ class Flow:
         zero = np.zeros(len(points.time_s))
         own = {scale: self.of.get(scale, zero) for scale in IN_GAS}
         whole = own[VALVE_FLOW]
-        late = [1e-3 * (own[scale] + own[EDGES_LATE]) for scale in LATE]
+        late = [
+            1e-3 * np.sum([own[s] for s, parts in ALL_LATE.items() if one in parts], axis=0)
+            for one in LATE
+        ]
         valves = np.stack([own[INLET_FLOW] + whole, own[OUTLET_FLOW] + whole, *late])
         per = pressure_per_flow(np.clip(points.length, 1e-4, 0.999 * c.braid_length_m), c)
         flow = own[FLOW]
@@ -247,7 +262,7 @@ def valve_flows(grid: Grid, c: PlantConstants) -> dict[str, Array]:
 
     ISO 6358 with the constants' conductances; out of the chamber a flow is negative. The flow of a
     valve is what passes while it is open by the constants' delays; that of `LATE` is what passes
-    more if it moves 1 ms later, that of `EDGES_LATE` if all commands act 1 ms later, that of
+    more if it moves 1 ms later, those of `ALL_LATE` if all of theirs do, that of
     `SUPPLY` what the inlet passes more if the supply is 1 kPa higher; for `SHORT_PULSES` see
     `short_pulses`.
     """
@@ -264,7 +279,8 @@ def valve_flows(grid: Grid, c: PlantConstants) -> dict[str, Array]:
         valve = which // 2
         later = _open_shares(grid, c, which, _LATER_S, risen_pa=fitted)[valve] - share[valve]
         made[scale] = np.asarray(later * through[valve] * 1e-3 / _LATER_S)
-    made[EDGES_LATE] = np.sum([made[scale] for scale in LATE], axis=0)
+    for scale, parts in ALL_LATE.items():
+        made[scale] = np.sum([made[one] for one in parts], axis=0)
     made[SHORT_PULSES] = short_pulses(grid, c)
     # A valve's delay depends on the pressure before it, too.
     sooner = _open_shares(grid, c, risen_pa=fitted + 1e3)[0] - share[0]
@@ -402,7 +418,9 @@ def inputs_of(grid: Grid, block: str, names: tuple[str, ...]) -> dict[str, Array
     the pressure beyond its own mean over that time (a low-pass of first order),
     `pull_change_<time>_n` the same of the braid's pull; `openings` counts the commands to open a
     valve in the trial so far; `valve` is +1 while the inlet is commanded open, -1 while the outlet
-    is, and between for a proportional valve.
+    is, and between for a proportional valve; `moves_<time>_mm` is how far the length moves within
+    that time from now on, `moved_<time>_mm` how far it has within the time before: a camera that is
+    late, or early, shows the length of another instant.
     """
     points = grid.points[block]
     here = grid.rows.block == BLOCKS.index(block)
@@ -435,13 +453,13 @@ def scales_of(grid: Grid, block: str, c: PlantConstants) -> dict[str, Array]:
     """What the braid of constants `c` says at every row of a block: see `braid_scales`.
 
     "seen" is what the force errs by where the camera shows 1 mm too much: nothing where the length
-    was held at a stated one.
+    was held at a stated one. "cell_gain" is the pull, as far as a cell tells it.
     """
     here = grid.rows.block == BLOCKS.index(block)
     made = braid_scales(grid.rows.pressure[here], grid.rows.length[here], c)
     points = grid.points[block]
     read = _means(points, np.where(points.held, 0.0, 1.0))
-    return made | {SEEN: np.asarray(-made["pull_per_mm"] * read)}
+    return made | {SEEN: np.asarray(-made["pull_per_mm"] * read), CELL_GAIN: made["pull"]}
 
 
 def _means(points: Points, raw: Array) -> Array:
@@ -517,6 +535,21 @@ def _beyond_mean(points: Points, values: Array, tau_s: float) -> Array:
     return made
 
 
+def _moves(points: Points, after_s: float) -> Array:
+    """How far in mm the length moves within a time from now on, or has within the time before.
+
+    Args:
+        after_s: the time; negative for that before.
+
+    Beyond the ends of its trial it stands still.
+    """
+    made = np.zeros(len(points.time_s))
+    for own in _spans(points):
+        time, length = points.time_s[own], points.length[own] * 1e3
+        made[own] = np.sign(after_s) * (np.interp(time + after_s, time, length) - length)
+    return made
+
+
 def _edges(grid: Grid, points: Points) -> tuple[Array, Array]:
     """Seconds since the last command's edge, and the inlet's command less the outlet's."""
     since = np.full(len(points.time_s), _LONG_AGO_S)
@@ -576,6 +609,12 @@ _OF_POINTS: Mapping[str, Callable[[Grid, Points], Array]] = {
     "pull_change_1s_n": lambda grid, points: _pull_change(grid, points, 1.0),
     "pull_change_10s_n": lambda grid, points: _pull_change(grid, points, 10.0),
     "pull_change_100s_n": lambda grid, points: _pull_change(grid, points, 100.0),
+    "moves_50ms_mm": lambda grid, points: _moves(points, 0.05),
+    "moves_100ms_mm": lambda grid, points: _moves(points, 0.1),
+    "moves_150ms_mm": lambda grid, points: _moves(points, 0.15),
+    "moved_50ms_mm": lambda grid, points: _moves(points, -0.05),
+    "moved_100ms_mm": lambda grid, points: _moves(points, -0.1),
+    "moved_150ms_mm": lambda grid, points: _moves(points, -0.15),
     "since_edge_s": lambda grid, points: _edges(grid, points)[0],
     "valve": lambda grid, points: _edges(grid, points)[1],
     "openings": lambda grid, points: _openings(grid, points),
@@ -589,5 +628,6 @@ _AT_POINTS: Mapping[str, Callable[[Points], Array]] = {
 _TIMED = (
     "velocity_mm_s", "time_s", "pressure_rate_kpa_s", "change_1s_kpa", "change_10s_kpa",
     "pull_change_1s_n", "pull_change_10s_n", "pull_change_100s_n", "since_edge_s", "valve",
-    "openings",
+    "openings", "moves_50ms_mm", "moves_100ms_mm", "moves_150ms_mm", "moved_50ms_mm",
+    "moved_100ms_mm", "moved_150ms_mm",
 )  # fmt: skip

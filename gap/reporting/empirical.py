@@ -25,6 +25,8 @@ INPUT_TEXT = {
     "pull_change_1s_n": "pull beyond its mean over 1 s, N",
     "pull_change_10s_n": "pull beyond its mean over 10 s, N",
     "pull_change_100s_n": "pull beyond its mean over 100 s, N",
+    **{f"moves_{t}ms_mm": f"length {t} ms later, less that now, mm" for t in (50, 100, 150)},
+    **{f"moved_{t}ms_mm": f"length now, less that {t} ms before, mm" for t in (50, 100, 150)},
 }  # fmt: skip
 _SCALED = {
     "pull": "share of the pull",
@@ -38,11 +40,14 @@ _SCALED = {
     "inlet_off_ms": "inlet shuts late, ms",
     "outlet_on_ms": "outlet opens late, ms",
     "outlet_off_ms": "outlet shuts late, ms",
+    "opens_ms": "both valves open late, ms",
+    "shuts_ms": "both valves shut late, ms",
     "edges_ms": "all commands act late, ms",
     "short_pulses": "share of short commands that passes",
     "supply": "supply higher than stated, kPa",
     "reading": "gauge shows too much, kPa",
     "cell": "force cell shows too much, N",
+    "cell_gain": "force cell shows too much, share of the pull",
     "seen": "camera shows too much, mm",
 }
 _KINDS = {
@@ -58,11 +63,14 @@ _KINDS = {
     "inlet_off_ms": "an inlet that shuts late or early",
     "outlet_on_ms": "an outlet that opens late or early",
     "outlet_off_ms": "an outlet that shuts late or early",
+    "opens_ms": "valves that both open late or early",
+    "shuts_ms": "valves that both shut late or early",
     "edges_ms": "valves that all act late or early",
     "short_pulses": "commands that pass although they are too short for their valve",
     "supply": "a supply that is not at its pressure",
     "reading": "an error of the gauge's reading",
     "cell": "an error of the force cell's reading",
+    "cell_gain": "an error of the force cell in proportion to its reading",
     "seen": "an error of the length that the camera reads",
 }
 

@@ -49,8 +49,7 @@ def blocks_with_gap(problem: FitProblem, fit: FitResult) -> list[str]:
     shown = sorted((b for b, e in excess.items() if e > 0.0), key=lambda b: -excess[b])
     if len(shown) < 2:
         return shown
-    columns = problem.columns_of(fit)[:, : len(fit.shift)]
-    own = [b for b in shown if _has_own_gap(problem, fit, BLOCKS.index(b), columns)]
+    own = [b for b in shown if _has_own_gap(problem, fit, b)]
     return own if any(_slots(problem, b) >= VALIDATION.least_slots for b in own) else shown
 
 
@@ -71,13 +70,11 @@ def _excess(problem: FitProblem, residual: Array, block: int) -> float:
     return float((residual[here] ** 2 / problem.floor_variance[here] - 1.0).sum())
 
 
-def _has_own_gap(problem: FitProblem, fit: FitResult, block: int, columns: Array) -> bool:
-    """Whether constants fitted to this block alone, within their tolerances, leave a gap in it.
-
-    Args:
-        columns: what each constant adds to the prediction, shape (rows, constants).
-    """
+def _has_own_gap(problem: FitProblem, fit: FitResult, name: str) -> bool:
+    """Whether constants fitted to this block alone, within their tolerances, leave a gap in it."""
+    block = BLOCKS.index(name)
     here = problem.rows.block == block
+    columns = problem.columns_of(fit)[:, : len(fit.shift)]
     wall = np.maximum(ESTIMATION.tolerance_sd, np.abs(fit.shift))
     sd = np.sqrt(problem.floor_variance[here])
     found = lsq_linear(
@@ -112,7 +109,9 @@ def _term_of(
     problem: FitProblem, fit: FitResult, walled: FitResult, block: str, nearest: Sequence[str],
     config: ValidationConfig, refused: FitResult | None,
 ) -> EmpiricalTerm | None:  # fmt: skip
-    first = search_of(problem, fit, block, config, walled=walled)
+    first = search_of(
+        problem, fit, block, config, walled=walled, has_own_gap=_has_own_gap(problem, walled, block)
+    )
     if first is None:
         return None
     found: list[_Found] = []
@@ -121,8 +120,9 @@ def _term_of(
         searches.append(search)
         chosen = search.select()
         held = _held_out(problem, search) if chosen else None
+        held = None if held is None else _closing(held, config)
         closed = held.closed() if held is not None else None
-        if held is None or closed is None or not _closes(held, config):
+        if held is None or closed is None:
             continue
         if not _can_be_stated(problem, search, chosen):
             continue
@@ -237,21 +237,28 @@ def _moved(fit: FitResult, other: FitResult) -> float:
     return float(np.abs(fit.shift - other.shift).max())
 
 
-def _closes(held: HeldOut, config: ValidationConfig) -> bool:
-    """Whether a term closes a part of the gap on slots left out.
+def _closing(held: HeldOut, config: ValidationConfig) -> HeldOut | None:
+    """What a term closes of the gap on slots left out; None where that is no part of it.
 
     For sure, or half of a gap that is as large as the floor, and half of it in most of the slots
     that hold a large part: where a gap is large in few slots the jackknife says nothing, yet a term
     that was fitted without such a slot has foretold it. Where one slot alone holds a large part,
     nearly all of it must be foretold, or half of the gap in each of three slots and more that
-    have one.
+    have one. There a floor is no higher than what the term has reached.
     """
     found = held.closed()
     if found is None or found[1] > 0.0:
-        return found is not None
+        return None if found is None else held
+    held = held.with_floor_shown()
+    return held if _foretells(held, config) else None
+
+
+def _foretells(held: HeldOut, config: ValidationConfig) -> bool:
+    """Whether half of a large gap is foretold where it is large; see `_closing`."""
+    found = held.closed()
     gap = held.recalibrated - held.floor
     foretold = held.recalibrated - held.after > HALF * gap
-    if float(gap.sum()) <= float(held.floor.sum()) or found[0] <= HALF:
+    if found is None or float(gap.sum()) <= float(held.floor.sum()) or found[0] <= HALF:
         return False
     with_gap = gap > held.floor
     if np.count_nonzero(with_gap) >= config.foretold_slots and foretold[with_gap].all():

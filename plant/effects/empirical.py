@@ -18,12 +18,14 @@ error of the pressure in kPa or of the length in mm. With the scale "flow" its s
 in mg/s into the chamber, whose pressure it raises, with "valve_flow" a share of the flow of the
 valve that is open, with "inlet_flow" or "outlet_flow" of that one alone; with "inlet_on_ms",
 "inlet_off_ms", "outlet_on_ms" or "outlet_off_ms" the time in ms by which that valve opens or shuts
-later than its delay says, with "edges_ms" that by which both valves do both; with "short_pulses"
+later than its delay says, with "opens_ms", "shuts_ms" or
+"edges_ms" that by which both valves do the one, the other or both; with "short_pulses"
 the share that passes of commands too short for their valve to move by its delays, with "supply"
 what the supply is above the stated one, in kPa. What a flow raised is forgotten with `FORGOTTEN_S`.
 With the scale "reading" its splines are what the gauge shows too much, in kPa: the gas itself is
 below the reading by as much. With "cell" those of a force are what its cell shows too much, in N: a
-load that hangs on it is below its reading by as much. With "seen" those of a force or load are what
+load that hangs on it is below its reading by as much; with "cell_gain" they are that as a share of
+the pull. With "seen" those of a force or load are what
 the camera shows too much, in mm: where the length was read, and not held at a stated one, the
 muscle is shorter by as much.
 
@@ -52,6 +54,12 @@ INPUTS = {
     "pressure_kpa": "pressure",
     "length_mm": "length",
     "velocity_mm_s": "velocity",
+    "moves_50ms_mm": "velocity",
+    "moves_100ms_mm": "velocity",
+    "moves_150ms_mm": "velocity",
+    "moved_50ms_mm": "velocity",
+    "moved_100ms_mm": "velocity",
+    "moved_150ms_mm": "velocity",
     "pressure_rate_kpa_s": "pressure rate",
     "temperature_c": "temperature",
     "order": "order",
@@ -69,6 +77,10 @@ INPUTS = {
 """Inputs of a correction, and what a person calls each."""
 CELL = "cell"
 """Scale of a term of the force whose splines are what the force cell shows too much, N."""
+CELL_GAIN = "cell_gain"
+"""The same as a share of the pull."""
+OF_CELL = (CELL, CELL_GAIN)
+"""Scales of errors of the force cell, which a load shows as well."""
 SCALES = ("pull", "pull_per_kpa", "pull_per_mm")
 """What the splines of a force can be multiplied by, all of the braid at a pressure and a length."""
 SEEN = "seen"
@@ -83,13 +95,24 @@ OUTLET_FLOW = "outlet_flow"
 """The same of the outlet."""
 LATE = ("inlet_on_ms", "inlet_off_ms", "outlet_on_ms", "outlet_off_ms")
 """Scales of a term of the pressure whose splines are ms by which a valve opens or shuts late."""
+OPENS_LATE = "opens_ms"
+"""Scale of a term whose splines are ms by which both valves open late."""
+SHUTS_LATE = "shuts_ms"
+"""The same where they shut."""
 EDGES_LATE = "edges_ms"
 """Scale of a term whose splines are ms by which all commands act late."""
+ALL_LATE: Mapping[str, tuple[str, ...]] = {
+    **{scale: (scale,) for scale in LATE},
+    OPENS_LATE: (LATE[0], LATE[2]),
+    SHUTS_LATE: (LATE[1], LATE[3]),
+    EDGES_LATE: LATE,
+}
+"""Those of `LATE` that a scale of late valves stands for."""
 SHORT_PULSES = "short_pulses"
 """Scale of a term of the pressure whose splines are the share that passes of short commands."""
 SUPPLY = "supply"
 """Scale of a term of the pressure whose splines are kPa that the supply is above what is stated."""
-FLOWS = (FLOW, VALVE_FLOW, INLET_FLOW, OUTLET_FLOW, *LATE, EDGES_LATE, SHORT_PULSES, SUPPLY)
+FLOWS = (FLOW, VALVE_FLOW, INLET_FLOW, OUTLET_FLOW, *ALL_LATE, SHORT_PULSES, SUPPLY)
 """Scales of terms whose flow the simulated gas takes in."""
 READING = "reading"
 """Scale of a term of the pressure whose splines are what the gauge shows too much, kPa."""
@@ -101,11 +124,12 @@ SCALE_INPUTS: Mapping[str, tuple[str, ...]] = {
     "pull_per_kpa": ("length_mm",),
     "pull_per_mm": ("pressure_kpa", "length_mm"),
     SEEN: ("pressure_kpa", "length_mm"),
+    CELL_GAIN: ("pressure_kpa", "length_mm"),
     **dict.fromkeys((*IN_GAS, CELL), ()),
 }
 """Inputs that a scale is itself made of; that of a flow is what the valves did before."""
 _SCALES_OF = {
-    "force": (*SCALES, CELL, SEEN), "load": (*SCALES, SEEN), "pressure": IN_GAS, "camera": (),
+    "force": (*SCALES, *OF_CELL, SEEN), "load": (*SCALES, SEEN), "pressure": IN_GAS, "camera": (),
 }  # fmt: skip
 FORGOTTEN_S = 5.0
 """Time constant with which the diagnosis draws a predicted pressure to the reading."""
@@ -124,8 +148,8 @@ class SplineTerm:
     Attributes:
         knots: ascending, one tuple an input, in its unit.
         coefficients: one a product of splines, the last input running fastest.
-        scale: one of `SCALES` that the splines are multiplied by, one of `IN_GAS`, `CELL`, `SEEN`,
-            or "" for none.
+        scale: one of `SCALES` that the splines are multiplied by, one of `IN_GAS`, `OF_CELL`,
+            `SEEN`, or "" for none.
         period: with which it repeats in its first input, in that input's unit; 0 for splines.
     """
 
@@ -166,7 +190,7 @@ class Correction:
     @property
     def scales(self) -> tuple[str, ...]:
         """Scales that it needs."""
-        own = (*SCALES, SEEN)
+        own = (*SCALES, SEEN, CELL_GAIN)
         return tuple(name for name in own if any(term.scale == name for term in self.terms))
 
     @property

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from plant.arrays import Array
 from plant.constants import PlantConstants
 from plant.effects.effects import NONE, Effects
-from plant.effects.empirical import CELL, SEEN, STATIC, UNCORRECTED, Corrections, braid_scales
+from plant.effects.empirical import OF_CELL, SEEN, STATIC, UNCORRECTED, Corrections, braid_scales
 from plant.effects.reference import TEMPERATURE_C as REFERENCE_TEMPERATURE_C
 from plant.errors import PlantError
 from plant.physics import layout, muscle
@@ -67,7 +67,7 @@ class ForceLaw:
         if correction is None:
             return 0.0
         # What a force cell or a camera shows too much is no force of the muscle.
-        pulls = tuple(term for term in correction.terms if term.scale not in (CELL, SEEN))
+        pulls = tuple(term for term in correction.terms if term.scale not in (*OF_CELL, SEEN))
         correction = replace(correction, terms=pulls)
         for name in correction.inputs:
             if name not in STATIC:

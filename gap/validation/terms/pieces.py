@@ -29,13 +29,14 @@ from gap.validation.terms.waves import Wave
 from plant.arrays import Array
 from plant.effects.catalogue import CATALOGUE
 from plant.effects.empirical import (
+    ALL_LATE,
     CELL,
-    EDGES_LATE,
+    CELL_GAIN,
     FLOW,
     FLOWS,
     INLET_FLOW,
     INPUTS,
-    LATE,
+    OF_CELL,
     OUTLET_FLOW,
     READING,
     SCALE_INPUTS,
@@ -52,10 +53,16 @@ _KNOTS = {"pressure_kpa": 9, "length_mm": 5, "time_s": 14, "since_edge_s": 9, "v
 _USUAL_KNOTS = 6
 _CROSS_KNOTS = {"pressure_kpa": 4, "length_mm": 4, "since_edge_s": 4}
 _USUAL_CROSS_KNOTS = 3
+PULL_CHANGES = ("pull_change_1s_n", "pull_change_10s_n", "pull_change_100s_n")
+"""Pull of the stated braid beyond its own mean over some time."""
+SHIFTS = (
+    "moves_50ms_mm", "moves_100ms_mm", "moves_150ms_mm",
+    "moved_50ms_mm", "moved_100ms_mm", "moved_150ms_mm",
+)  # fmt: skip
+"""What the length does within some time from now on, or has done within the time before."""
 MUSCLE_INPUTS = (
     "pressure_kpa", "length_mm", "velocity_mm_s", "pressure_rate_kpa_s", "temperature_c", "order",
-    "time_s", "slip", "change_1s_kpa", "change_10s_kpa",
-    "pull_change_1s_n", "pull_change_10s_n", "pull_change_100s_n",
+    "time_s", "slip", "change_1s_kpa", "change_10s_kpa", *PULL_CHANGES, *SHIFTS,
 )  # fmt: skip
 GAS_INPUTS = (
     "pressure_kpa", "length_mm", "velocity_mm_s", "pressure_rate_kpa_s", "temperature_c", "order",
@@ -73,8 +80,11 @@ _SCALED = (
     ("pull", "length_mm"), ("pull", "temperature_c"), ("pull", "order"), ("pull", "slip"),
     ("pull", "time_s"), ("pull", "change_1s_kpa"), ("pull", "change_10s_kpa"),
     (CELL, "time_s"), (CELL, "temperature_c"), (CELL, "order"),
+    (CELL_GAIN, "temperature_c"),
     (SEEN, "length_mm"), (SEEN, "velocity_mm_s"), (SEEN, "order"),
 )  # fmt: skip
+_SHIFTED = tuple((scale, name) for scale in ("pull_per_mm", SEEN) for name in SHIFTS)
+"""A length of another instant; what that does not grow with in proportion is no shift in time."""
 _FLOWS = (
     (FLOW, ("pressure_kpa",)), (FLOW, ("pressure_rate_kpa_s",)), (FLOW, ("velocity_mm_s",)),
     (FLOW, ("time_s",)), (FLOW, ("change_1s_kpa",)), (FLOW, ("valve",)),
@@ -82,7 +92,7 @@ _FLOWS = (
     (VALVE_FLOW, ("valve",)), (VALVE_FLOW, ("valve", "pressure_kpa")),
     (VALVE_FLOW, ("valve", "since_edge_s")), (VALVE_FLOW, ("valve", "time_s")),
     (VALVE_FLOW, ("valve", "order")),
-    *((late, own) for late in (*LATE, EDGES_LATE)
+    *((late, own) for late in ALL_LATE
       for own in ((), ("pressure_kpa",), ("time_s",), ("openings",), ("order",))),
     *((flow, own) for flow in (INLET_FLOW, OUTLET_FLOW)
       for own in ((), ("since_edge_s",), ("pressure_kpa",), ("time_s",), ("openings",))),
@@ -117,6 +127,7 @@ _ERRORS = {
     ("force", "", ()): ZERO,
     ("force", CELL, ()): ZERO,
     ("force", "pull", ()): GAIN,
+    ("force", CELL_GAIN, ()): GAIN,
     ("pressure", "", ()): ZERO,
     ("pressure", "", ("pressure_kpa",)): GAIN,
     ("pressure", READING, ()): ZERO,
@@ -204,12 +215,15 @@ def pieces_of(
         for name, x in at.items()
         if name in INPUTS and np.ptp(x) > 1e-6 * (1.0 + np.abs(x).max())
     }
-    single = [("", name) for name in varied] + [(s, name) for s, name in _SCALED if s in at]
+    single = [("", name) for name in varied if name not in SHIFTS]
+    single += [(s, name) for s, name in _SCALED if s in at]
     wanted: list[tuple[str, tuple[str, ...], int]] = [("", (), 0)]
-    wanted += [(scale, (), 0) for scale in (*SCALES, CELL, SEEN) if scale in at]
+    wanted += [(scale, (), 0) for scale in (*SCALES, *OF_CELL, SEEN) if scale in at]
     wanted += [(scale, (name,), _most_knots(name, 1)) for scale, name in single]
     # A line carries to slots beyond the others' range, where splines go astray.
-    wanted += [(scale, (name,), 2) for scale, name in single if name != "since_edge_s"]
+    lines = [one for one in single if one[1] != "since_edge_s"]
+    lines += [(s, name) for s, name in _SHIFTED if s in at]
+    wanted += [(scale, (name,), 2) for scale, name in lines]
     wanted += [("", pair, 0) for pair in _PRODUCTS]
     # What a fine product takes is shared out to its inputs by as fine splines of each.
     wanted += [("", inputs, _EVERY_MM) for inputs in (_FINE, ("length_mm",))]
@@ -251,14 +265,15 @@ def columns_in_load(problem: FitProblem, pieces: Iterable[Piece], width: int) ->
         One row a feature of the problem, zero but in the load, shape (rows, width).
     """
     made = np.zeros((len(problem.rows), width))
-    own = [piece for piece in pieces if piece.scale == CELL]
+    own = [piece for piece in pieces if piece.scale in OF_CELL]
     if own:
         here = problem.rows.block == BLOCKS.index("load")
         names = tuple(dict.fromkeys(name for piece in own for name in piece.inputs))
-        at, read = inputs_of(problem.grid, "load", names), weighed(problem.grid)
+        at = inputs_of(problem.grid, "load", names)
+        read = {s: weighed(problem.grid, in_proportion=s == CELL_GAIN) for s in OF_CELL}
         for piece in own:
             shown = product_splines([at[n] for n in piece.inputs], piece.knots, int(here.sum()))
-            made[np.ix_(here, piece.at)] = -shown * read[:, None]
+            made[np.ix_(here, piece.at)] = -shown * read[piece.scale][:, None]
     return made
 
 

@@ -24,6 +24,7 @@ from gap.validation.terms.pieces import (
     GAS_INPUTS,
     MUSCLE_INPUTS,
     NO_FLOWS,
+    PULL_CHANGES,
     FlowColumns,
     Piece,
     columns_in_load,
@@ -39,20 +40,24 @@ from gap.validation.terms.waves import Wave, WaveRows, waves_of
 from plant.arrays import Array
 from plant.effects.empirical import (
     CELL,
+    CELL_GAIN,
     FLOW,
     IN_GAS,
     INPUTS,
+    OF_CELL,
     READING,
     SCALE_INPUTS,
     SEEN,
     SUPPLY,
+    spline_columns,
 )
 
 _RATE = "pressure_rate_kpa_s"
 HALF = 0.5
 """Share of a gap from which it counts as closed."""
 _STEEPEST = 0.5
-"""Most that the error of a gauge may rise with its reading, kPa/kPa. A matter of definition."""
+"""Most that the error of a gauge may rise with its reading, kPa/kPa, and that a term may take of
+what a pull changes, N/N. A matter of definition."""
 
 _LASTS_LONGER = 1.25
 """Times the longest of the others that a trial must last for a flow in time to be unknown there. A
@@ -204,7 +209,7 @@ class TermSearch:
             # One slot alone may hold most of a gap: no number of standard errors shows it then.
             enough = sure > self.config.term_errors or gain > HALF * self.gap(without)
             enough = enough and gain > self.least_gain(without, bool(chosen))
-            if enough and self._leaves_a_gauge([*chosen, piece], without):
+            if enough and self._leaves_a_plant([*chosen, piece], without):
                 tried.append((piece, after))
         if not tried:
             return None
@@ -251,17 +256,23 @@ class TermSearch:
         """Whether an entry says the same that did not explain the gap: another is likelier."""
         return error_of_sensor(self.block, piece) in self.refused
 
-    def _leaves_a_gauge(self, chosen: Sequence[Piece], without: frozenset[int]) -> bool:
-        """Whether a gauge with the errors of some pieces would still measure the pressure.
+    def _leaves_a_plant(self, chosen: Sequence[Piece], without: frozenset[int]) -> bool:
+        """Whether with some pieces a gauge still measures, and a muscle still carries its load.
 
-        An error as large as the reading stands for gas that has no pressure at all.
+        An error as large as the reading stands for gas that has no pressure at all. What takes
+        from a pull all that it changes leaves the mean pull alone, which is the load: it "closes"
+        every gap of a hung load, and says no length at all.
         """
         columns = self.columns(chosen)
         for piece in chosen:
-            if piece.scale == READING and piece.inputs == ("pressure_kpa",):
-                own = self.terms.coefficients(columns, without)[np.isin(columns, piece.at)]
-                if (np.diff(own) > _STEEPEST * np.diff(piece.knots[0])).any():
-                    return False
+            sign = _of_itself(self.block, piece)
+            if not sign:
+                continue
+            own = self.terms.coefficients(columns, without)[np.isin(columns, piece.at)]
+            (knots,) = piece.knots
+            shown = spline_columns(np.array(knots), knots) @ own
+            if (sign * np.diff(shown) > _STEEPEST * np.diff(knots)).any():
+                return False
         return True
 
     def _needed(self, chosen: list[Piece], without: frozenset[int]) -> list[Piece]:
@@ -336,7 +347,7 @@ class TermSearch:
 def search_of(
     problem: FitProblem, fit: FitResult, block: str, config: ValidationConfig,
     first: TermSearch | None = None, known: tuple[Whole, FittedTerm] | None = None,
-    walled: FitResult | None = None,
+    walled: FitResult | None = None, has_own_gap: bool = True,
 ) -> TermSearch | None:  # fmt: skip
     """Pieces and sums for one block; None where too few slots have it or it shows no gap.
 
@@ -346,10 +357,15 @@ def search_of(
         first: the search at the recalibrated plant, where `fit` is another.
         known: a term that `fit` was fitted with: numbers of its columns, and the fit. What it does
             is taken as it is there: simulated gas does not take in a flow in proportion.
+        has_own_gap: whether constants fitted to this block alone leave a gap in it. Otherwise
+            another has led them astray, and an error of the force cell, which the load shows as
+            well, would stand for what the load's gap is.
     """
     here = problem.rows.block == BLOCKS.index(block)
     count = int(here.sum())
-    scales = _scales(problem, fit, block, count)
+    if first is not None:
+        has_own_gap = any(piece.scale in OF_CELL for piece in first.pieces)
+    scales = _scales(problem, fit, block, count, has_own_gap)
     flows = NO_FLOWS
     if block != "pressure":
         at = inputs_of(problem.grid, block, MUSCLE_INPUTS) | scales
@@ -413,7 +429,9 @@ def search_of(
     return made if made.gaps.sum() > 0.0 else None
 
 
-def _scales(problem: FitProblem, fit: FitResult, block: str, count: int) -> dict[str, Array]:
+def _scales(
+    problem: FitProblem, fit: FitResult, block: str, count: int, with_cell: bool
+) -> dict[str, Array]:
     """What parts of a force or load may be multiplied by, at every row of the block."""
     if block not in ("force", "load"):
         return {}
@@ -421,8 +439,11 @@ def _scales(problem: FitProblem, fit: FitResult, block: str, count: int) -> dict
     held = problem.grid.points[block].held
     if held.all() or not held.any():  # nothing was read, or `pull_per_mm` says the same
         del made[SEEN]
-    if block == "force" and "load" in problem.grid.points and weighed(problem.grid).any():
+    weighs = with_cell and "load" in problem.grid.points and weighed(problem.grid).any()
+    if block == "force" and weighs:
         made[CELL] = np.ones(count)
+    else:
+        del made[CELL_GAIN]
     return made
 
 
@@ -457,6 +478,15 @@ def refitted(
     flows = search.flows.only(own[own >= plain] - plain)
     term = TermColumns(columns, penalty, flows)
     return own, fitted_with_term(problem, search.fit, term, search.terms.coefficients(own))
+
+
+def _of_itself(block: str, piece: Piece) -> int:
+    """Sign of the slope by which a piece takes away what it is an error of; 0 where it cannot."""
+    if piece.scale == READING and piece.inputs == ("pressure_kpa",):
+        return 1
+    if block == "load" and not piece.scale and piece.inputs[:1] and piece.inputs[0] in PULL_CHANGES:
+        return -1
+    return 0
 
 
 def _rms(x: Array | None) -> float:
