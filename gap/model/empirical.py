@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -18,16 +19,17 @@ from plant.constants import REFERENCE_DENSITY_KG_M3, PlantConstants
 from plant.effects.arguments import Points
 from plant.effects.empirical import (
     ALL_LATE,
+    CELL,
     CELL_GAIN,
     FLOW,
     FORGOTTEN_S,
     IN_GAS,
     INLET_FLOW,
     LATE,
-    OF_CELL,
     OUTLET_FLOW,
     READING,
     SEEN,
+    SHIFTS_S,
     SHORT_PULSES,
     SUPPLY,
     VALVE_FLOW,
@@ -67,28 +69,26 @@ def in_load(grid: Grid, force: Correction, c: PlantConstants) -> Array:
     missing there.
 
     Args:
-        force: correction of the force, of which the terms with a scale of `OF_CELL` count.
+        force: correction of the force, of which the terms whose scale is one of `weighed` count.
     """
     made = np.zeros(int((grid.rows.block == BLOCKS.index("load")).sum()))
-    for scale in OF_CELL:
+    for scale, read in weighed(grid).items():
         own = tuple(replace(t, scale="") for t in force.terms if t.scale == scale)
-        if own:
-            shown = correction_at(grid, Correction("load", own), c)
-            made -= shown * weighed(grid, in_proportion=scale == CELL_GAIN)
+        made -= correction_at(grid, Correction("load", own), c) * read
     return made
 
 
-def weighed(grid: Grid, in_proportion: bool = False) -> Array:
-    """Share of the points of every row of the load at which a force cell read it.
+def weighed(grid: Grid) -> dict[str, Array]:
+    """What of an error of the force cell every row of the load shows, by scale.
 
-    Args:
-        in_proportion: what it read there instead, N: what an error in proportion to it is a share
-            of.
+    The share of its points at which a cell read it, and what it read there, N.
     """
     points = grid.points["load"]
-    if in_proportion:
-        return _means(points, np.nan_to_num(points.reading))
-    return _means(points, np.isfinite(points.reading).astype(np.float64))
+    read = np.isfinite(points.reading).astype(np.float64)
+    return {
+        CELL: _means(points, read),
+        CELL_GAIN: _means(points, np.nan_to_num(points.reading)),
+    }
 
 
 def flow_at(grid: Grid, correction: Correction, c: PlantConstants) -> Flow | None:
@@ -535,7 +535,7 @@ def _beyond_mean(points: Points, values: Array, tau_s: float) -> Array:
     return made
 
 
-def _moves(points: Points, after_s: float) -> Array:
+def _moves(_grid: Grid, points: Points, after_s: float) -> Array:
     """How far in mm the length moves within a time from now on, or has within the time before.
 
     Args:
@@ -609,12 +609,7 @@ _OF_POINTS: Mapping[str, Callable[[Grid, Points], Array]] = {
     "pull_change_1s_n": lambda grid, points: _pull_change(grid, points, 1.0),
     "pull_change_10s_n": lambda grid, points: _pull_change(grid, points, 10.0),
     "pull_change_100s_n": lambda grid, points: _pull_change(grid, points, 100.0),
-    "moves_50ms_mm": lambda grid, points: _moves(points, 0.05),
-    "moves_100ms_mm": lambda grid, points: _moves(points, 0.1),
-    "moves_150ms_mm": lambda grid, points: _moves(points, 0.15),
-    "moved_50ms_mm": lambda grid, points: _moves(points, -0.05),
-    "moved_100ms_mm": lambda grid, points: _moves(points, -0.1),
-    "moved_150ms_mm": lambda grid, points: _moves(points, -0.15),
+    **{name: partial(_moves, after_s=after_s) for name, after_s in SHIFTS_S.items()},
     "since_edge_s": lambda grid, points: _edges(grid, points)[0],
     "valve": lambda grid, points: _edges(grid, points)[1],
     "openings": lambda grid, points: _openings(grid, points),
@@ -628,6 +623,5 @@ _AT_POINTS: Mapping[str, Callable[[Points], Array]] = {
 _TIMED = (
     "velocity_mm_s", "time_s", "pressure_rate_kpa_s", "change_1s_kpa", "change_10s_kpa",
     "pull_change_1s_n", "pull_change_10s_n", "pull_change_100s_n", "since_edge_s", "valve",
-    "openings", "moves_50ms_mm", "moves_100ms_mm", "moves_150ms_mm", "moved_50ms_mm",
-    "moved_100ms_mm", "moved_150ms_mm",
+    "openings", *SHIFTS_S,
 )  # fmt: skip

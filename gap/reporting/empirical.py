@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gap.verdict import EmpiricalTerm, TermCourse, Verdict
-from plant.effects.empirical import SplineTerm
+from plant.effects.empirical import SHIFTS_S, SplineTerm
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,8 +25,11 @@ INPUT_TEXT = {
     "pull_change_1s_n": "pull beyond its mean over 1 s, N",
     "pull_change_10s_n": "pull beyond its mean over 10 s, N",
     "pull_change_100s_n": "pull beyond its mean over 100 s, N",
-    **{f"moves_{t}ms_mm": f"length {t} ms later, less that now, mm" for t in (50, 100, 150)},
-    **{f"moved_{t}ms_mm": f"length now, less that {t} ms before, mm" for t in (50, 100, 150)},
+    **{
+        name: f"length {1e3 * s:.0f} ms later, less that now, mm" if s > 0.0
+        else f"length now, less that {-1e3 * s:.0f} ms before, mm"
+        for name, s in SHIFTS_S.items()
+    },
 }  # fmt: skip
 _SCALED = {
     "pull": "share of the pull",

@@ -20,7 +20,7 @@ from gap.validation.config import ValidationConfig
 from gap.validation.terms.held_out_terms import HeldOutTerms, Whole, gain_and_errors
 from gap.verdict import Expression
 from plant.arrays import Array
-from plant.effects.empirical import IN_GAS, OF_CELL, Correction
+from plant.effects.empirical import IN_GAS, OF_CELL, SHIFTS_S, Correction
 
 _DECAYS_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 _DECAYS_KPA = (30.0, 100.0, 300.0)
@@ -32,8 +32,10 @@ _SHORT = {
     "change_1s_kpa": ("p - mean of 1 s", "kPa"), "change_10s_kpa": ("p - mean of 10 s", "kPa"),
     "pull_change_1s_n": ("F - mean of 1 s", "N"), "pull_change_10s_n": ("F - mean of 10 s", "N"),
     "pull_change_100s_n": ("F - mean of 100 s", "N"),
-    **{f"moves_{t}ms_mm": (f"(L in {t} ms - L)", "mm") for t in (50, 100, 150)},
-    **{f"moved_{t}ms_mm": (f"(L - L {t} ms ago)", "mm") for t in (50, 100, 150)},
+    **{
+        name: (f"(L in {1e3 * s:.0f} ms - L)" if s > 0 else f"(L - L {-1e3 * s:.0f} ms ago)", "mm")
+        for name, s in SHIFTS_S.items()
+    },
 }  # fmt: skip
 _BOTH_SIDES = 0.1
 """Share of its range that an input must have on either side of zero for zero to be its middle."""

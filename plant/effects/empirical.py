@@ -18,16 +18,15 @@ error of the pressure in kPa or of the length in mm. With the scale "flow" its s
 in mg/s into the chamber, whose pressure it raises, with "valve_flow" a share of the flow of the
 valve that is open, with "inlet_flow" or "outlet_flow" of that one alone; with "inlet_on_ms",
 "inlet_off_ms", "outlet_on_ms" or "outlet_off_ms" the time in ms by which that valve opens or shuts
-later than its delay says, with "opens_ms", "shuts_ms" or
-"edges_ms" that by which both valves do the one, the other or both; with "short_pulses"
-the share that passes of commands too short for their valve to move by its delays, with "supply"
-what the supply is above the stated one, in kPa. What a flow raised is forgotten with `FORGOTTEN_S`.
+later than its delay says, with "opens_ms", "shuts_ms" or "edges_ms" that by which both valves do
+the one, the other or both; with "short_pulses" the share that passes of commands too short for
+their valve to move by its delays, with "supply" what the supply is above the stated one, in kPa.
+What a flow raised is forgotten with `FORGOTTEN_S`.
 With the scale "reading" its splines are what the gauge shows too much, in kPa: the gas itself is
 below the reading by as much. With "cell" those of a force are what its cell shows too much, in N: a
 load that hangs on it is below its reading by as much; with "cell_gain" they are that as a share of
-the pull. With "seen" those of a force or load are what
-the camera shows too much, in mm: where the length was read, and not held at a stated one, the
-muscle is shorter by as much.
+the pull. With "seen" those of a force or load are what the camera shows too much, in mm: where the
+length was read, and not held at a stated one, the muscle is shorter by as much.
 
 A term with a `period` repeats in its first input: in the place of splines it has cosine and sine of
 that period and of half of it, in this order, and goes on beyond its knots, which say where it was
@@ -50,16 +49,17 @@ from plant.physics.muscle import braid_force, braid_force_slope, braid_volume
 
 BLOCKS = {"force": "N", "load": "N", "pressure": "kPa", "camera": "mm"}
 """Readings that a correction can be added to, with its unit."""
+SHIFTS_S: Mapping[str, float] = {
+    **{f"moves_{ms}ms_mm": 1e-3 * ms for ms in (50, 100, 150)},
+    **{f"moved_{ms}ms_mm": -1e-3 * ms for ms in (50, 100, 150)},
+}
+"""Inputs that are what the length does within a time from now on, or has done within one before, s:
+a camera whose clock is off shows the length of another instant."""
 INPUTS = {
     "pressure_kpa": "pressure",
     "length_mm": "length",
     "velocity_mm_s": "velocity",
-    "moves_50ms_mm": "velocity",
-    "moves_100ms_mm": "velocity",
-    "moves_150ms_mm": "velocity",
-    "moved_50ms_mm": "velocity",
-    "moved_100ms_mm": "velocity",
-    "moved_150ms_mm": "velocity",
+    **dict.fromkeys(SHIFTS_S, "velocity"),
     "pressure_rate_kpa_s": "pressure rate",
     "temperature_c": "temperature",
     "order": "order",
@@ -95,19 +95,13 @@ OUTLET_FLOW = "outlet_flow"
 """The same of the outlet."""
 LATE = ("inlet_on_ms", "inlet_off_ms", "outlet_on_ms", "outlet_off_ms")
 """Scales of a term of the pressure whose splines are ms by which a valve opens or shuts late."""
-OPENS_LATE = "opens_ms"
-"""Scale of a term whose splines are ms by which both valves open late."""
-SHUTS_LATE = "shuts_ms"
-"""The same where they shut."""
-EDGES_LATE = "edges_ms"
-"""Scale of a term whose splines are ms by which all commands act late."""
 ALL_LATE: Mapping[str, tuple[str, ...]] = {
     **{scale: (scale,) for scale in LATE},
-    OPENS_LATE: (LATE[0], LATE[2]),
-    SHUTS_LATE: (LATE[1], LATE[3]),
-    EDGES_LATE: LATE,
+    "opens_ms": ("inlet_on_ms", "outlet_on_ms"),
+    "shuts_ms": ("inlet_off_ms", "outlet_off_ms"),
+    "edges_ms": LATE,
 }
-"""Those of `LATE` that a scale of late valves stands for."""
+"""Scales of one valve or both that are late, with those of `LATE` that each stands for."""
 SHORT_PULSES = "short_pulses"
 """Scale of a term of the pressure whose splines are the share that passes of short commands."""
 SUPPLY = "supply"

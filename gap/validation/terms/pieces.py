@@ -42,6 +42,7 @@ from plant.effects.empirical import (
     SCALE_INPUTS,
     SCALES,
     SEEN,
+    SHIFTS_S,
     SHORT_PULSES,
     SUPPLY,
     VALVE_FLOW,
@@ -55,14 +56,9 @@ _CROSS_KNOTS = {"pressure_kpa": 4, "length_mm": 4, "since_edge_s": 4}
 _USUAL_CROSS_KNOTS = 3
 PULL_CHANGES = ("pull_change_1s_n", "pull_change_10s_n", "pull_change_100s_n")
 """Pull of the stated braid beyond its own mean over some time."""
-SHIFTS = (
-    "moves_50ms_mm", "moves_100ms_mm", "moves_150ms_mm",
-    "moved_50ms_mm", "moved_100ms_mm", "moved_150ms_mm",
-)  # fmt: skip
-"""What the length does within some time from now on, or has done within the time before."""
 MUSCLE_INPUTS = (
     "pressure_kpa", "length_mm", "velocity_mm_s", "pressure_rate_kpa_s", "temperature_c", "order",
-    "time_s", "slip", "change_1s_kpa", "change_10s_kpa", *PULL_CHANGES, *SHIFTS,
+    "time_s", "slip", "change_1s_kpa", "change_10s_kpa", *PULL_CHANGES, *SHIFTS_S,
 )  # fmt: skip
 GAS_INPUTS = (
     "pressure_kpa", "length_mm", "velocity_mm_s", "pressure_rate_kpa_s", "temperature_c", "order",
@@ -83,7 +79,7 @@ _SCALED = (
     (CELL_GAIN, "temperature_c"),
     (SEEN, "length_mm"), (SEEN, "velocity_mm_s"), (SEEN, "order"),
 )  # fmt: skip
-_SHIFTED = tuple((scale, name) for scale in ("pull_per_mm", SEEN) for name in SHIFTS)
+_SHIFTED = tuple((scale, name) for scale in ("pull_per_mm", SEEN) for name in SHIFTS_S)
 """A length of another instant; what that does not grow with in proportion is no shift in time."""
 _FLOWS = (
     (FLOW, ("pressure_kpa",)), (FLOW, ("pressure_rate_kpa_s",)), (FLOW, ("velocity_mm_s",)),
@@ -215,7 +211,7 @@ def pieces_of(
         for name, x in at.items()
         if name in INPUTS and np.ptp(x) > 1e-6 * (1.0 + np.abs(x).max())
     }
-    single = [("", name) for name in varied if name not in SHIFTS]
+    single = [("", name) for name in varied if name not in SHIFTS_S]
     single += [(s, name) for s, name in _SCALED if s in at]
     wanted: list[tuple[str, tuple[str, ...], int]] = [("", (), 0)]
     wanted += [(scale, (), 0) for scale in (*SCALES, *OF_CELL, SEEN) if scale in at]
@@ -270,7 +266,7 @@ def columns_in_load(problem: FitProblem, pieces: Iterable[Piece], width: int) ->
         here = problem.rows.block == BLOCKS.index("load")
         names = tuple(dict.fromkeys(name for piece in own for name in piece.inputs))
         at = inputs_of(problem.grid, "load", names)
-        read = {s: weighed(problem.grid, in_proportion=s == CELL_GAIN) for s in OF_CELL}
+        read = weighed(problem.grid)
         for piece in own:
             shown = product_splines([at[n] for n in piece.inputs], piece.knots, int(here.sum()))
             made[np.ix_(here, piece.at)] = -shown * read[piece.scale][:, None]

@@ -363,9 +363,8 @@ def search_of(
     """
     here = problem.rows.block == BLOCKS.index(block)
     count = int(here.sum())
-    if first is not None:
-        has_own_gap = any(piece.scale in OF_CELL for piece in first.pieces)
-    scales = _scales(problem, fit, block, count, has_own_gap)
+    with_cell = has_own_gap if first is None else any(p.scale in OF_CELL for p in first.pieces)
+    scales = _scales(problem, fit, block, count, with_cell)
     flows = NO_FLOWS
     if block != "pressure":
         at = inputs_of(problem.grid, block, MUSCLE_INPUTS) | scales
@@ -439,7 +438,7 @@ def _scales(
     held = problem.grid.points[block].held
     if held.all() or not held.any():  # nothing was read, or `pull_per_mm` says the same
         del made[SEEN]
-    weighs = with_cell and "load" in problem.grid.points and weighed(problem.grid).any()
+    weighs = with_cell and "load" in problem.grid.points and weighed(problem.grid)[CELL].any()
     if block == "force" and weighs:
         made[CELL] = np.ones(count)
     else:
@@ -484,7 +483,7 @@ def _of_itself(block: str, piece: Piece) -> int:
     """Sign of the slope by which a piece takes away what it is an error of; 0 where it cannot."""
     if piece.scale == READING and piece.inputs == ("pressure_kpa",):
         return 1
-    if block == "load" and not piece.scale and piece.inputs[:1] and piece.inputs[0] in PULL_CHANGES:
+    if block == "load" and not piece.scale and set(piece.inputs) & set(PULL_CHANGES):
         return -1
     return 0
 
