@@ -78,7 +78,7 @@ INPUTS = {
 CELL = "cell"
 """Scale of a term of the force whose splines are what the force cell shows too much, N."""
 CELL_GAIN = "cell_gain"
-"""The same as a share of the pull."""
+"""The same as a share of the pull, and for a load as a share of what the cell reads of it."""
 OF_CELL = (CELL, CELL_GAIN)
 """Scales of errors of the force cell, which a load shows as well."""
 SCALES = ("pull", "pull_per_kpa", "pull_per_mm")
