@@ -137,7 +137,6 @@ def test_the_stage_predicts_the_energy_balance(tmp_path: Path) -> None:
         assert rms_kpa(data, there) > 4.0 * balance
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("wall_w_k", [0.15, 0.4])
 def test_gas_that_the_wall_cools_is_named(tmp_path: Path, wall_w_k: float) -> None:
     verdict = diagnose(bench(tmp_path / "set", wall_w_k, noise_kpa=0.5))

@@ -172,7 +172,6 @@ def test_a_camera_may_read_5_mm_beyond_the_braid(
     assert bool(beyond_braid(FitProblem.of(read_dataset(folder)))) is refused
 
 
-@pytest.mark.slow
 def test_a_trace_of_a_second_effect_does_not_make_another_muscle_of_a_large_one(
     tmp_path: Path,
 ) -> None:
@@ -182,7 +181,6 @@ def test_a_trace_of_a_second_effect_does_not_make_another_muscle_of_a_large_one(
     assert "transport_delay" in verdict.sure
 
 
-@pytest.mark.slow
 def test_five_effects_at_once_are_not_another_muscle(tmp_path: Path) -> None:
     """The first two leave an eighth of the gap; with the other three beside them nothing is off."""
     write(record(blind_set(SEVERAL, 1018)), tmp_path / "five")

@@ -150,3 +150,10 @@ def test_every_test_that_is_listed_as_slow_exists() -> None:
         path, *names = line.partition("[")[0].split("::")
         inside = definitions(HOUSE / path)
         assert ".".join(names) in inside, line
+
+
+def test_slow_tests_are_listed_and_not_marked_in_their_files() -> None:
+    """`make test` leaves out what is listed: a mark alone would leave a test in it."""
+    mark = "mark." + "slow"
+    marked = [file.name for file in (HOUSE / "tests").glob("test_*.py") if mark in file.read_text()]
+    assert not marked
