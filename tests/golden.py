@@ -7,8 +7,8 @@ was made by other sources is made anew. `compare OLD NEW` holds folders or packe
 against each other, `compare NEW` against `tests/golden.json.gz`, key by key, and ends with status 1
 where they differ. `pack FOLDER` writes `tests/golden.json.gz`.
 
-Another kind of processor gives other last digits, which a search may follow to another explanation:
-what is made on one is held against what the sources before gave on the same one.
+A processor of another kind gives other last digits, and a search may then end at another
+explanation. To see what a change does, make OLD on the same computer by the sources before it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ DIGITS = 13
 LONG = 200  # numbers in a list beyond which only some of them and what they amount to are kept
 PICKED = 40
 PROCESSOR = "processor"
-"""Key of a packed file that holds the kind of processor that it was made on, beside the items."""
+"""Key in a packed file, beside the items: the kind of processor that they were made on."""
 
 FIXED = {
     **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
