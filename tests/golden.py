@@ -167,11 +167,8 @@ def diagnosed(number: int, further: tuple[str, ...] = ()) -> Item:
 
     def make(desk: Desk) -> Any:
         struck = desk.practice(number)
-        out = {}
-        for what in ("diagnose", *further):
-            words = ["--without", ",".join(struck)] if struck and what != "where" else []
-            out[what] = desk.pamrig("gap", what, "set", *words)
-        return out
+        words = ["--without", ",".join(struck)] if struck else []
+        return {w: desk.pamrig("gap", w, "set", *words) for w in ("diagnose", *further)}
 
     return Item(make, verdict=True)
 

@@ -61,19 +61,22 @@ def entries(folder: Path) -> list[Path]:
     return sorted(folder.iterdir()) if folder.exists() else []
 
 
+@pytest.mark.parametrize("without", [(), ("--without", "creep")], ids=["catalogue", "without"])
 @pytest.mark.parametrize("data", ["settled", pytest.param("timed", marks=pytest.mark.campaign)])
 def test_each_command_prints_the_same_from_the_cache(
-    data: str, folder: Path, tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
+    data: str, without: tuple[str, ...], folder: Path, tmp_path: Path,
+    request: pytest.FixtureRequest,
+) -> None:  # fmt: skip
     given = request.getfixturevalue(data)
     page = ("--out", tmp_path / "page.html")
-    commands = {"diagnose": (), "where": (), "shrink": (), "next": (), "report": page}
-    anew = {name: printed(name, given, *more, "--no-cache") for name, more in commands.items()}
+    more = {"diagnose": (), "where": (), "shrink": (), "next": (), "report": page}
+    commands = {name: (*words, *without) for name, words in more.items()}
+    anew = {name: printed(name, given, *words, "--no-cache") for name, words in commands.items()}
     assert entries(folder) == []
-    assert printed("diagnose", given) == anew["diagnose"]
+    assert printed("diagnose", given, *without) == anew["diagnose"]
     (entry,) = entries(folder)
     written = entry.stat().st_ino
-    assert {name: printed(name, given, *more) for name, more in commands.items()} == anew
+    assert {name: printed(name, given, *words) for name, words in commands.items()} == anew
     assert [path.stat().st_ino for path in entries(folder)] == [written]
 
 

@@ -76,6 +76,7 @@ def check(
 
 def where(
     data: DataArgument,
+    without: WithoutOption = "",
     out: Annotated[
         Path | None,
         typer.Option("--out", help="Figure of the residual to write (.png, .svg, .pdf)."),
@@ -89,7 +90,7 @@ def where(
     folder = data_folder(data, runs, simulator)
     from cli.gap.verdicts import Question, where_command
 
-    where_command(Question(folder, "", simulator, not no_cache), out, as_json)
+    where_command(Question(folder, without, simulator, not no_cache), out, as_json)
 
 
 def diagnose(
