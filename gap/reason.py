@@ -37,6 +37,10 @@ class Cause(StrEnum):
         "the data look like {names}, but with {freedom} replicates beyond the first nothing can be "
         "told from noise"
     )
+    NO_REPLICATES = (
+        "{names} fits best, but what runs of one setting differ by was not measured, so nothing is "
+        "named"
+    )
     NO_GAP = (
         "the plant, recalibrated within its tolerances, agrees with the data to within the floor"
     )

@@ -192,7 +192,14 @@ def test_a_report_stopped_by_ctrl_c_leaves_record_and_old_report(tmp_path: Path)
     (derived / "report.html").write_text("the old one")
     ours, theirs = pty.openpty()
     command = [sys.executable, "-c", "from cli.main import main; main()", "report", str(run.folder)]
-    with subprocess.Popen(command, stderr=theirs, stdout=subprocess.PIPE) as process:
+
+    def heeded() -> None:
+        """A shell starts what runs in the background with SIGINT ignored, and so would this."""
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    with subprocess.Popen(
+        command, stderr=theirs, stdout=subprocess.PIPE, preexec_fn=heeded
+    ) as process:
         os.close(theirs)
         shown = b""
         while b"making table" not in shown:

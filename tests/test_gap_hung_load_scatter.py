@@ -95,8 +95,10 @@ def test_where_a_load_hangs_is_noise_and_no_gap(tmp_path: Path) -> None:
     assert diagnose(data).status == "no_gap_above_floor"
 
 
-def test_a_mass_more_than_stated_is_named_above_that_scatter(tmp_path: Path) -> None:
+def test_a_mass_more_than_stated_is_found_above_that_scatter(tmp_path: Path) -> None:
+    """All points were reached by a rising pressure: friction of the load is the same there."""
     verdict = diagnose(with_swinging_loads(tmp_path / "set", extra_kg=0.6))
-    assert verdict.effects[0].ids == ("payload",)
+    found = {effect.ids: effect for effect in verdict.effects[:2]}
+    assert set(found) == {("payload",), ("link_friction",)}
     # 17.7 N between the loads are 6.5 mm: a millimetre is 0.28 kg, 0.05 kg over 31 points (1 sd).
-    assert verdict.effects[0].parameters["mass_kg"].value == pytest.approx(0.6, rel=0.3)
+    assert found["payload",].parameters["mass_kg"].value == pytest.approx(0.6, rel=0.3)

@@ -18,13 +18,17 @@ from cli.main import app
 from gap.data.dataset import DataSet
 from gap.data.from_runs import open_data
 from gap.data.reader import read_dataset
+from gap.decision.classify import classify
+from gap.decision.config import DECISION
 from gap.decision.diagnose import diagnose, diagnose_with_fit, verdict_by_catalogue
 from gap.estimation.cross_validation import held_out
 from gap.estimation.fit_problem import FitProblem
 from gap.estimation.fitness import beyond_braid, doubts, doubts_left
 from gap.model.bins import matched
+from gap.reason import Cause
 from gap.reporting.text import headline
 from gap.selection.inclusion import excess_chi2
+from gap.selection.search import search_effects
 from gap.validation.shapley import Waterfall
 from gap.verdict import Explanation, Status, Verdict
 from gap_bench import write_set
@@ -237,6 +241,29 @@ def test_without_replicates_they_are_what_is_measured_next(tmp_path: Path) -> No
     assert verdict.next_experiment is not None
     assert "replicates are missing" in verdict.next_experiment.why
     assert verdict.as_dict()["next_experiment"]["separation_after"] is None
+
+
+def test_a_gap_of_single_runs_far_above_their_noise_is_offered_and_never_named(
+    tmp_path: Path,
+) -> None:
+    """With replicates, an explanation as probable as the threshold set here would be named."""
+    data = open_data(
+        write_set(tmp_path / "once", {"leak": {"conductance_m3_s_pa": 3e-13}}, 3, replicates=1)
+    )
+    problem = FitProblem.of(data)
+    found = search_effects(problem)
+    verdict, _ = classify(problem, found, replace(DECISION, named=0.5))
+    assert verdict.status is Status.INDISTINGUISHABLE
+    assert verdict.reason.cause is Cause.NO_REPLICATES
+    assert verdict.effects[0].ids == ("leak",)
+    assert verdict.sure == ()
+    assert verdict.gap is not None
+    assert verdict.gap.floor_source == "smoothness"
+    assert any(note.startswith("0 replicates beyond the first") for note in verdict.notes)
+    assert verdict.next_experiment is not None
+    assert "replicates are missing" in verdict.next_experiment.why
+    verdict, _ = classify(problem, found, replace(DECISION, far_above_floor=1e3))
+    assert verdict.status is Status.BELOW_RESOLUTION
 
 
 def one_slot(data: DataSet) -> DataSet:

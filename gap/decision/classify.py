@@ -95,11 +95,31 @@ class _Case:
 
     @property
     def floor_source(self) -> str | None:
-        """Where the floor comes from; None where there are too few replicates for one."""
-        noise = self.problem.noise
-        if noise.pairs and noise.freedom >= self.config.needed_replicates:
+        """Where the floor comes from; None where there are too few replicates for one.
+
+        The floor of a single run in time holds its noise and what runs usually differ by. On this
+        bench that may be more, so only a gap far above it is one.
+        """
+        if self._replicated:
             return "replicates"
-        return "smoothness" if self.problem.data.settled else None
+        return "smoothness" if self.problem.data.settled or self.alone else None
+
+    @cached_property
+    def alone(self) -> bool:
+        """Whether runs in time, without enough replicates, show a gap far above their floor.
+
+        In the fit to all of them as well: where few slots settle a constant, one that is left out
+        can be far off.
+        """
+        if self._replicated or self.problem.data.settled or not self.shows:
+            return False
+        far = self.config.far_above_floor
+        return any(p.rms("recalibrated") > far * p.rms("floor") for p in self.held.values())
+
+    @property
+    def _replicated(self) -> bool:
+        noise = self.problem.noise
+        return bool(noise.pairs) and noise.freedom >= self.config.needed_replicates
 
     def block(self, fit: FitResult) -> str:
         """The block whose gap stands highest above its floor, or is closed most.
@@ -187,7 +207,7 @@ def classify(
         finding = _unless_plainer(case, _with_calibration(case, finding), further)
     else:
         finding = _unexplained(case)
-    return _verdict(case, finding), case.search
+    return _verdict(case, _without_replicates(case, finding)), case.search
 
 
 def _judged(case: _Case, further: SearchResult) -> _Case:
@@ -437,6 +457,15 @@ def _with_calibration(case: _Case, finding: _Finding) -> _Finding:
     times, key = against[name]
     why = reason(Cause.CALIBRATED, names=name, times=times, key=key)
     return replace(finding, status=Status.INDISTINGUISHABLE, sure=sure, reason=why)
+
+
+def _without_replicates(case: _Case, finding: _Finding) -> _Finding:
+    """The finding with nothing named where nobody knows what runs of one setting differ by."""
+    if not case.alone or not (finding.status in NAMED or finding.sure):
+        return finding
+    names = finding.sure or finding.entries[0][0].fit.ids
+    why = reason(Cause.NO_REPLICATES, names=" and ".join(names))
+    return replace(finding, status=Status.INDISTINGUISHABLE, reason=why, sure=())
 
 
 def _unless_plainer(case: _Case, finding: _Finding, further: SearchResult) -> _Finding:
@@ -731,7 +760,7 @@ def _verdict(case: _Case, finding: _Finding) -> Verdict:
         limits=detection_limits(problem, SELECTION.least_gain),
         next_experiment=_next_experiment(case, finding),
         why_not=why_not(problem, search, {i for e in effects for i in e.ids}),
-        notes=(*problem.data.notes, *_shifted_constants(case)),
+        notes=(*problem.data.notes, *_of_the_floor(case), *_shifted_constants(case)),
         evidence={"found": list(search.best.fit.ids), **finding.evidence},
         sure=finding.sure,
     )
@@ -776,10 +805,20 @@ def _range_of(problem: FitProblem, block: str) -> float:
 
 def _next_experiment(case: _Case, finding: _Finding) -> Experiment | None:
     """What to measure next: missing replicates first, else what tells rivals apart."""
-    if finding.status is Status.BELOW_RESOLUTION:
+    if finding.status is Status.BELOW_RESOLUTION or case.alone:
         return more_replicates(case.problem, case.config.needed_replicates)
     best = finding.entries[0][0].fit if finding.entries else None
     return advise(case.problem, best, _to_tell_apart(case, finding))
+
+
+def _of_the_floor(case: _Case) -> tuple[str, ...]:
+    """A note where the floor rests on single runs."""
+    if not case.alone:
+        return ()
+    return (
+        f"{case.problem.noise.freedom} replicates beyond the first: the floor is the noise within "
+        "each run and what runs of a bench usually differ by, not what those of this bench do",
+    )
 
 
 def _shifted_constants(case: _Case) -> tuple[str, ...]:

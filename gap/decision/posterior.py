@@ -42,8 +42,10 @@ def posterior(
     alike = 1.0 + float(weights.sum())
     real = 1.0 - none
     known_at_all = 1.0 - reliability["unknown"]
-    entries = [(search.best, reliability["right"] * real / alike)]
-    entries += [(c, known_at_all * real * w / alike) for c, w in zip(known, weights, strict=True)]
+    shares = known_at_all * real * weights / alike
+    # What fits worse is not likelier.
+    first = max(reliability["right"] * real / alike, float(shares.max(initial=0.0)))
+    entries = [(search.best, first), *zip(known, shares.tolist(), strict=True)]
     unknown = real - sum(p for _, p in entries)
     entries.sort(key=lambda entry: -entry[1])
     return Posterior(entries, none, max(unknown, 0.0))

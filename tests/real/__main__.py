@@ -1,6 +1,7 @@
 """`python -m tests.real FOLDER`: the diagnosis put to measured data from outside the repository.
 
-FOLDER holds one folder for each set (`martens-boblan`, `zillen`, `zillen-seals`) with its files;
+FOLDER holds one folder for each set (`martens-boblan`, `zillen`, `zillen-seals`,
+`zillen-chambers`) with its files;
 docs/evidence/real-data.md says where each is published. The mapping files and the analyses made by
 hand lie beside this file; the tables of the thesis are shipped. Every step is a command of `pamrig`
 that a user would give. Ends with status 1 where a verdict does not agree with the analysis by hand.
@@ -83,9 +84,24 @@ def laid_out(data: Path, name: str, work: Path) -> Path | None:
         return None
     folder = work / name
     shutil.copytree(data / name, folder)
+    if name == "zillen-chambers":
+        _plain_times(folder)
     shutil.copy(HERE / name / "mapping.toml", folder)
     pamrig(folder, "import", "data", "mapping.toml", "--out", "sets")
     return folder
+
+
+_SHUT_S = 10.0
+"""Time from which the supply of all vessels is shut."""
+
+
+def _plain_times(folder: Path) -> None:
+    """Rows of the vessels from `_SHUT_S` on; a spreadsheet wrote 151303000 us as 151.303.000."""
+    for path in folder.glob("*.csv"):
+        table = pd.read_csv(path, sep=";", header=None, dtype={0: str})
+        time_s = table[0].str.replace(".", "", regex=False).astype(float) * 1e-6
+        plain = pd.DataFrame({"time_s": time_s, "pressure_bar": table[2]})
+        plain[time_s >= _SHUT_S].to_csv(path, index=False)
 
 
 def martens_boblan(folder: Path) -> list[Outcome]:
@@ -148,6 +164,22 @@ def zillen_seals(folder: Path) -> list[Outcome]:
     ]
 
 
+LEAKING = ("Ultimaker_015", "Ultimaker_020")
+"""Vessels whose pressure falls to that of the air."""
+
+
+def zillen_chambers(folder: Path) -> list[Outcome]:
+    """Printed vessels that are shut: what leaks."""
+    return [
+        Outcome(
+            f"Vessel {where.name}",
+            f"zillen-chambers-{'leaking' if where.name in LEAKING else 'tight'}",
+            pamrig(folder, "gap", "diagnose", where),
+        )
+        for where in sorted((folder / "sets").iterdir())
+    ]
+
+
 def thesis(work: Path) -> list[Outcome]:
     """C-3 and C-4 against a law fitted to C-1."""
     from gap.decision.diagnose import diagnose
@@ -170,6 +202,7 @@ SOURCES = """\
 | `martens-boblan` | M. Martens, I. Boblan, Actuators 2017, 6(4), 33, tables A1 and A2 (erratum 2018, 7(1), 9), as `martens-boblan-2017-dmsp-10-250.csv` and `-20-300.csv` with columns pressure_kpa, length_mm, force_n | CC BY 4.0 |
 | `zillen` | E. Zillen, thesis, TU Delft: friction runs of a 3D-printed cylinder, `zillen-friction-{1,3,5,7}bar.tsv` | CC0 1.0 |
 | `zillen-seals` | the same: data/friction of eleven seals and shapes, `_lc` written `-lc`, and data/repeatability as `O-ring257-rerun1_1bar.csv`, `-rerun3`, `-reconnected2`, `-reconnected3` (rerun 2 and reconnected 1 are copies of others) | CC0 1.0 |
+| `zillen-chambers` | the same: appendix_compressed-air_chamber/data, the files of seven vessels as published (`Aluminium.csv`, `Formlabs.csv`, `Prusa.csv`, `Ultimaker_006.csv`, `_010`, `_015`, `_020`) | CC0 1.0 |
 | none | tables C-1, C-3 and C-4 of the thesis, shipped | see docs/reference/plant.md |
 """  # noqa: E501
 
@@ -193,8 +226,9 @@ def page(outcomes: list[Outcome]) -> str:
         "",
     ]  # fmt: skip
     lines += _seals([o for o in outcomes if o.by_hand == "zillen-seals"])
+    lines += _vessels([o for o in outcomes if o.by_hand.startswith("zillen-chambers")])
     for outcome in outcomes:
-        if outcome.by_hand == "zillen-seals":
+        if outcome.by_hand.startswith(("zillen-seals", "zillen-chambers")):
             continue
         lines += [f"## {outcome.name}", "", "By hand:"]
         lines += [BY_HAND[outcome.by_hand]["analysis"].strip(), "", "Verdict:"]
@@ -256,6 +290,33 @@ def _seals(outcomes: list[Outcome]) -> list[str]:
     return [*lines, ""]
 
 
+_SEEN_VESSELS = """Before, the status of all of them was `below_resolution`: of single runs nothing was
+told from noise, however large. That was changed when these vessels were seen (2026-11-30)."""
+
+
+def _vessels(outcomes: list[Outcome]) -> list[str]:
+    """The vessels in a table, with the loss found by hand."""
+    if not outcomes:
+        return []
+    lines = ["## Vessels that are shut", "", "By hand:"]
+    lines += [BY_HAND["zillen-chambers"]["analysis"].strip(), "", _SEEN_VESSELS, ""]
+    lines += [
+        "| vessel | loss by hand, kPa/s | first entry | status | what it says | error as stated,"
+        " with the first entry, floor, kPa |",
+        "|---|---|---|---|---|---|",
+    ]
+    for one in outcomes:
+        name, verdict = one.name.removeprefix("Vessel "), one.verdict
+        gap, effects = verdict["gap"], verdict["effects"]
+        after = "-" if gap["after"] is None else f"{gap['after']:.2g}"
+        lines.append(
+            f"| {name} | {BY_HAND['zillen-chambers']['vessels'][name]} | "
+            f"{' + '.join(effects[0]['ids']) if effects else '-'} | {verdict['status']} | "
+            f"{verdict['reason']} | {gap['before']:.2g}, {after}, {gap['floor']:.2g} |"
+        )
+    return [*lines, ""]
+
+
 def _entry(effect: dict[str, Any]) -> str:
     values = ", ".join(
         f"{name} {e['value']:.3g} ({e['low']:.3g} to {e['high']:.3g})"
@@ -280,6 +341,7 @@ def main() -> int:
         work = Path(scratch)
         studies = (
             ("martens-boblan", martens_boblan), ("zillen", zillen), ("zillen-seals", zillen_seals),
+            ("zillen-chambers", zillen_chambers),
         )  # fmt: skip
         for name, study in studies:
             folder = laid_out(options.data.resolve(), name, work)

@@ -390,6 +390,7 @@ def search_of(
             # A short flow must be larger to be seen as much as a long one. Constants that are led
             # astray hide most of a flow, so what it may be is told by the plant as stated.
             unit = np.sqrt(np.mean(columns[:, piece.at] ** 2, axis=0)) / max(size, stated)
+            unit = np.maximum(unit, _LEAST_SEEN * unit.max(initial=0.0))
             if piece.scale == SUPPLY:  # where it is hardly seen it is no larger than elsewhere
                 unit = np.full(len(piece.at), unit.max(initial=0.0))
         else:  # a scale has its own unit
@@ -477,6 +478,11 @@ def refitted(
     flows = search.flows.only(own[own >= plain] - plain)
     term = TermColumns(columns, penalty, flows)
     return own, fitted_with_term(problem, search.fit, term, search.terms.coefficients(own))
+
+
+_LEAST_SEEN = 1e-3
+"""Least that a flow at one knot is taken to show, in what it shows at another. One that never acts
+there would else be as large as rounding errors make it. A matter of definition."""
 
 
 def _of_itself(block: str, piece: Piece) -> int:
