@@ -40,6 +40,11 @@ def writing(path: Path) -> Iterator[None]:
         raise PamrigError(str(path), what, "choose another file") from None
 
 
+def many(count: int, what: str) -> str:
+    """A count with its noun, which takes an s: "1 trial", "2 trials"."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
 def state_findings(findings: Iterable[str], run: str = "") -> None:
     """Print what a check of a record found, if anything, as notes beside a command's result."""
     for text in findings:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cli.options import JsonOption
-from cli.output import print_json
+from cli.output import many, print_json
 from cli.progress import progress_line
 
 if TYPE_CHECKING:
@@ -83,16 +83,20 @@ def _show(one: Imported, dry_run: bool) -> None:
     from daq.live.layout import UNITS
 
     name = one.muscle or "the data"
-    what = f"{name}: {len(one.trials)} trials in {len(one.replicates)} slots"
-    typer.echo(what if dry_run else f"{one.folder}: {len(one.trials)} trials, {name}")
+    trials = many(len(one.trials), "trial")
+    what = f"{name}: {trials} in {many(len(one.replicates), 'slot')}"
+    typer.echo(what if dry_run else f"{one.folder}: {trials}, {name}")
     for channel in one.channels:
         rate = f", {channel.rate_hz:.4g} Hz" if channel.rate_hz else ""
         noise = f", noise {channel.noise:.2g}" if channel.noise is not None else ""
-        gaps = f", {channel.gaps} gaps to {channel.longest_gap_s:.3g} s" if channel.gaps else ""
+        gaps = many(channel.gaps, "gap")
+        gaps = f", {gaps} to {channel.longest_gap_s:.3g} s" if channel.gaps else ""
         unit = UNITS.get(channel.name.rpartition("_")[2], "")
+        read = "" if channel.name.endswith("_cmd") else "in "
         typer.echo(
-            f"  {channel.name} from {channel.column} (in {channel.unit}): now {channel.low:.5g} to "
-            f"{channel.high:.5g}{unit and f' {unit}'}, {channel.samples} samples{rate}{noise}{gaps}"
+            f"  {channel.name} from {channel.column} ({read}{channel.unit}): now {channel.low:.5g} "
+            f"to {channel.high:.5g}{unit and f' {unit}'}, {many(channel.samples, 'sample')}{rate}"
+            f"{noise}{gaps}"
         )
     for trial in one.trials[:SHOWN]:
         time = "settled points" if trial.duration_s is None else f"{trial.duration_s:.4g} s"
@@ -102,11 +106,11 @@ def _show(one: Imported, dry_run: bool) -> None:
             else f", {trial.pressure_low_kpa:.4g} to {trial.pressure_high_kpa:.4g} kPa"
         )
         typer.echo(
-            f"  trial {trial.name}: {trial.rows} rows, {time}{range_}, slot {trial.slot}, "
+            f"  trial {trial.name}: {many(trial.rows, 'row')}, {time}{range_}, slot {trial.slot}, "
             f"replicate {trial.replicate}"
         )
     if len(one.trials) > SHOWN:
-        typer.echo(f"  ... and {len(one.trials) - SHOWN} more trials")
+        typer.echo(f"  ... and {many(len(one.trials) - SHOWN, 'more trial')}")
     groups = [f"{count} of slot {slot}" for slot, count in one.replicates.items() if count > 1]
     typer.echo(f"  replicates: {', '.join(groups[:SHOWN]) or 'none'}")
     if one.costs is not None:

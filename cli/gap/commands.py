@@ -22,7 +22,7 @@ from cli.options import (
     SimulatorOption,
     WithoutOption,
 )
-from cli.output import print_json, state_findings
+from cli.output import many, print_json, state_findings
 
 
 def add_gap(app: typer.Typer) -> None:
@@ -188,7 +188,7 @@ def export(
                     "problems": list(made.problems)})  # fmt: skip
         return
     typer.echo(
-        f"{made.folder}: {made.trials} trials in {made.slots} slots, {made.rows} rows, "
-        f"of {len(made.runs)} run{'s' if len(made.runs) > 1 else ''}"
+        f"{made.folder}: {many(made.trials, 'trial')} in {many(made.slots, 'slot')}, "
+        f"{many(made.rows, 'row')}, of {many(len(made.runs), 'run')}"
     )
     state_findings(made.problems)

@@ -746,6 +746,7 @@ def _verdict(case: _Case, finding: _Finding) -> Verdict:
     effects = _explanations(problem, case.config, finding)
     whole = none + unknown + sum(effect.probability for effect in effects)
     scale = 1.0 / whole if whole > 0.0 else 1.0
+    gap = _gap(case, finding.named) if case.held else None
     return Verdict(
         status=finding.status,
         reason=finding.reason,
@@ -753,14 +754,14 @@ def _verdict(case: _Case, finding: _Finding) -> Verdict:
         effects=tuple(replace(e, probability=e.probability * scale) for e in effects),
         probability_none=none * scale,
         probability_unknown=unknown * scale,
-        gap=_gap(case, finding.named) if case.held else None,
+        gap=gap,
         channels=_channels(case, finding.named),
         stages=stage_shares(problem, search.best.fit, case.held) if case.held else (),
         contrasts=contrasts_of(problem),
         limits=detection_limits(problem, SELECTION.least_gain),
         next_experiment=_next_experiment(case, finding),
         why_not=why_not(problem, search, {i for e in effects for i in e.ids}),
-        notes=(*problem.data.notes, *_of_the_floor(case), *_shifted_constants(case)),
+        notes=(*problem.data.notes, *_of_the_gap(case, gap), *_shifted_constants(case)),
         evidence={"found": list(search.best.fit.ids), **finding.evidence},
         sure=finding.sure,
     )
@@ -811,14 +812,25 @@ def _next_experiment(case: _Case, finding: _Finding) -> Experiment | None:
     return advise(case.problem, best, _to_tell_apart(case, finding))
 
 
-def _of_the_floor(case: _Case) -> tuple[str, ...]:
-    """A note where the floor rests on single runs."""
-    if not case.alone:
-        return ()
-    return (
-        f"{case.problem.noise.freedom} replicates beyond the first: the floor is the noise within "
-        "each run and what runs of a bench usually differ by, not what those of this bench do",
-    )
+def _of_the_gap(case: _Case, gap: Gap | None) -> tuple[str, ...]:
+    """Notes where the floor rests on single runs, and where a recalibration makes things worse."""
+    made = []
+    if case.alone:
+        made.append(
+            f"{case.problem.noise.freedom} replicates beyond the first: the floor is the noise "
+            "within each run and what runs of a bench usually differ by, not what those of this "
+            "bench do"
+        )
+    if (
+        gap is not None
+        and gap.held_out is not None
+        and gap.recalibrated > case.config.worse_recalibrated * gap.before
+    ):
+        made.append(
+            f"recalibrated to the other {gap.held_out}s, the plant predicts a {gap.held_out} worse "
+            "than as stated: these data settle its constants less well than they are stated"
+        )
+    return tuple(made)
 
 
 def _shifted_constants(case: _Case) -> tuple[str, ...]:
