@@ -121,6 +121,11 @@ def rest_of(share: float) -> str:
     return "whether anything else acts" if share >= _ALL else "what explains the rest"
 
 
+_OF_SEVERAL = {
+    "{names} fits": "{names} together fit",
+    "{names} explains": "{names} together explain",
+    "its form leaves": "their forms leave",
+}
 _ALL = 99.5
 """Per cent of the gap that are written as 100."""
 
@@ -133,7 +138,11 @@ class Reason:
     values: Mapping[str, object] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        return self.cause.value.format(**self.values)
+        text = self.cause.value
+        if " and " in str(self.values.get("names", "")):
+            for one, several in _OF_SEVERAL.items():
+                text = text.replace(one, several)
+        return text.format(**self.values)
 
 
 def reason(cause: Cause, **values: object) -> Reason:

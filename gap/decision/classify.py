@@ -113,8 +113,8 @@ class _Case:
         """
         if self._replicated or self.problem.data.settled or not self.shows:
             return False
-        far = self.config.far_above_floor
-        return any(p.rms("recalibrated") > far * p.rms("floor") for p in self.held.values())
+        far, several = self.config.far_above_floor, len(self.problem.data.slots) > 1
+        return any(p.errors(several)[0] > far * p.rms("floor") for p in self.held.values())
 
     @property
     def _replicated(self) -> bool:

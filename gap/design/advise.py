@@ -100,8 +100,8 @@ def more_replicates(problem: FitProblem, needed: int) -> Experiment:
     return Experiment(
         first.protocol, {"repeats": repeats}, float("nan"), float("nan"),
         (repeats - 1) * len(slots), (),
-        "replicates are missing: without them a gap cannot be separated from noise; measure each "
-        "setting again, best in another order and mounting",
+        "replicates are missing: without them nobody knows what runs of one setting differ by; "
+        "measure each setting again, best in another order and mounting",
     )  # fmt: skip
 
 

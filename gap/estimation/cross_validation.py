@@ -42,6 +42,17 @@ class HeldOut:
         total = float(self.weight.sum())
         return float(np.sqrt(max(float(getattr(self, which).sum()), 0.0) / max(total, 1e-12)))
 
+    def errors(self, several: bool) -> tuple[float, float]:
+        """Root mean square errors of the recalibrated plant and after.
+
+        Those of the fit where there are not several units: a single one cannot be left out.
+        """
+        if several or self.fitted is None:
+            return self.rms("recalibrated"), self.rms("after")
+        total = max(float(self.weight.sum()), 1e-12)
+        before, after = (float(squares.sum()) for squares in self.fitted)
+        return float(np.sqrt(max(before, 0.0) / total)), float(np.sqrt(max(after, 0.0) / total))
+
     def with_floor_shown(self) -> HeldOut:
         """The same with no floor above the error that was reached, where that is less in all.
 
@@ -228,12 +239,7 @@ def _expected(problem: FitProblem, trial: int, number: int) -> float:
 def gap_of(block: str, held: HeldOut, named: bool, source: str | None, scheme: str | None) -> Gap:
     """The verdict's gap of one block; without a scheme nothing is held out, as in a single slot."""
     closed = held.closed() if named and scheme else None
-    recalibrated, after = held.rms("recalibrated"), held.rms("after")
-    if scheme is None and held.fitted is not None:
-        total = max(float(held.weight.sum()), 1e-12)
-        recalibrated, after = (
-            float(np.sqrt(max(float(squares.sum()), 0.0) / total)) for squares in held.fitted
-        )
+    recalibrated, after = held.errors(several=scheme is not None)
     return Gap(
         unit=UNITS[block],
         before=held.rms("before"),

@@ -21,7 +21,7 @@ from plant.arrays import Array
 
 @dataclass(frozen=True)
 class Rung:
-    """One step of the ladder: error held out by slot, in the gap's unit."""
+    """One step of the ladder: error held out by slot, if there are several, in the gap's unit."""
 
     label: str
     rms: float
@@ -136,14 +136,16 @@ def _block(problem: FitProblem, search: SearchResult, verdict: Verdict) -> str |
 
 
 def _ladder(problem: FitProblem, best: FitResult, block: str) -> tuple[Rung, ...]:
+    several = len(problem.data.slots) > 1
     base = held_out(problem, problem.base)[block]
-    rungs = [Rung("as stated", base.rms("before")), Rung("recalibrated", base.rms("recalibrated"))]
+    rungs = [Rung("as stated", base.rms("before"))]
+    rungs.append(Rung("recalibrated", base.errors(several)[0]))
     ids = list(dict.fromkeys(candidate.id for candidate in best.candidates))
     for count in range(1, len(ids) + 1):
         first = set(ids[:count])
         part = best.kept(lambda candidate, some=first: candidate.id in some)  # type: ignore[misc]
         fit = best if count == len(ids) else problem.fit(*part)
-        rungs.append(Rung(f"+ {ids[count - 1]}", held_out(problem, fit)[block].rms("after")))
+        rungs.append(Rung(f"+ {ids[count - 1]}", held_out(problem, fit)[block].errors(several)[1]))
     return tuple(rungs)
 
 

@@ -67,7 +67,7 @@ def drawn(examined: Examination) -> dict[str, Figure | None]:
 
 
 def ladder(examined: Examination) -> Figure | None:
-    """Held-out error at each step, with the floor as a line."""
+    """Error at each step, held out if there are several settings, with the floor as a line."""
     gap = examined.verdict.headline_gap
     if gap is None or len(examined.ladder) < 2:
         return None
@@ -91,7 +91,8 @@ def ladder(examined: Examination) -> Figure | None:
             fontsize=8.5,
         )
         axes.set_ylim(len(values) - 0.1, -0.6)
-    axes.set_xlabel(f"error held out by {gap.held_out or 'slot'}, {gap.unit} (rms)")
+    which = f"error held out by {gap.held_out}" if gap.held_out else "error of the fit"
+    axes.set_xlabel(f"{which}, {gap.unit} (rms)")
     axes.set_xlim(0.0, 1.14 * max(values))
     return figure
 

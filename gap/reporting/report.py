@@ -78,6 +78,7 @@ def context(examined: Examination) -> dict[str, Any]:
         "limits": limits(verdict),
         "mimics": _confounders(verdict),
         "explained": bool(verdict.effects) and verdict.status.explained,
+        "held_out": verdict.headline_gap is not None and bool(verdict.headline_gap.held_out),
         "origin": data.origin,
         "trials": len(data.trials),
         "slots": len(data.slots),
