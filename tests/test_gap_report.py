@@ -109,6 +109,12 @@ def test_what_came_from_data_is_escaped(liner: Examination) -> None:
     assert "&lt;script&gt;" in page
 
 
+def test_the_verb_agrees_with_the_names() -> None:
+    one, two = (reason(Cause.NO_REPLICATES, names=names) for names in ("leak", "leak and creep"))
+    assert str(one).startswith("leak fits best")
+    assert str(two).startswith("leak and creep together fit best")
+
+
 @pytest.mark.parametrize(
     ("status", "told"),
     [
@@ -150,7 +156,10 @@ def test_the_sentence_has_value_unit_interval_and_what_it_closes() -> None:
     assert "closes 98 % (90 to 100 %)" in told
     assert parameter_text("edge", Estimate("inlet_on")) == "edge inlet_on"
     assert parameter_text("percent", Estimate(2.0, 1.0, 3.0)) == "2 % (1 to 3)"
+    assert parameter_text("percent_per_k", Estimate(0.5)) == "0.5 %/K"
     assert parameter_text("stiffness_n_mm", Estimate(0.5)) == "stiffness 0.5 N/mm"
+    leaks = parameter_text("conductance_m3_s_pa", Estimate(2e-12))
+    assert leaks == "conductance 2e-12 m3/(s Pa)"
 
 
 def test_settings_are_said_with_their_units_and_what_is_told_apart_already_is_said_so() -> None:

@@ -114,10 +114,10 @@ def parameter_text(name: str, estimate: Estimate) -> str:
     units |= {growth.name: growth.unit for growth in growths if growth is not None}
     base = next((known for known in units if name == known or name.endswith(f"_{known}")), name)
     unit = units.get(base, "")
-    tail = "_" + unit.lower().replace("/", "_").replace(" ", "_")
+    tail = "_" + re.sub(r"[^a-z0-9]+", "_", unit.lower()).strip("_")
     text = base.removesuffix(tail) if unit else base
-    if text == "percent":
-        text = ""
+    if text.startswith("percent"):
+        text = ""  # the unit says so
     value = (
         estimate.value
         if isinstance(estimate.value, str)

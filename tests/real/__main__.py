@@ -274,9 +274,10 @@ def page(outcomes: list[Outcome]) -> str:
 _SEEN = """What friction does in the diagnosis was mended on the eleven seals and shapes, on
 2026-11-27; before, none of the seven round seals had friction alone as its first entry. The four
 repeats were put to it afterwards: friction led in all, alone in two. Parts of strokes are left out
-since. Since an explanation is refused from a probability of 0.35 for something outside the catalogue
-(2026-11-29), three of the four pistons that are no circle are `unknown`, with friction first: it
-explains 86 to 91 % there, and nothing in the catalogue falls along the stroke as their force does."""
+since. Since an explanation is refused from a probability of 0.35 for something outside the
+catalogue (2026-11-29), three of the four pistons that are no circle are `unknown`, with friction
+first: it explains 86 to 91 % there, and nothing in the catalogue falls along the stroke as their
+force does."""
 
 
 def _seals(outcomes: list[Outcome]) -> list[str]:
