@@ -2,7 +2,7 @@
 
 On a withheld bench (983) a load swung, and lengths at one pressure differed by half a millimetre
 and more between replicates. They counted as other conditions, the scatter as a gap, and half of it
-stayed without a name. Now the extra mass is named.
+stayed without a name. Now the extra mass is found.
 """
 
 from __future__ import annotations

@@ -293,7 +293,7 @@ def test_stages_are_shown_on_a_terminal_and_nowhere_else(settled: Path) -> None:
     assert process.returncode == 0
     lines = [part.strip() for part in shown.split(b"\r")]
     # A stage shorter than a look of the line is passed over; the last one is long enough.
-    # Where it takes more than a second, its time stands behind it.
+    # On a slow machine its time stands behind it.
     assert lines[-3].split(b"  ")[0] == b"confounders, stages and the next experiment"
     assert lines[-2:] == [b"", b""]  # cleared
     quiet = subprocess.run(words, capture_output=True, check=True)

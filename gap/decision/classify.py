@@ -245,15 +245,16 @@ def _defect(case: _Case) -> _Finding:
 def _unexplained(case: _Case) -> _Finding:
     """No effect reached the alarm: too few replicates, an unknown gap, or none."""
     problem, search, config = case.problem, case.search, case.config
+    too_few = _Finding(
+        Status.BELOW_RESOLUTION,
+        reason(
+            Cause.TOO_FEW_REPLICATES, freedom=problem.noise.freedom,
+            needed=config.needed_replicates,
+        ),
+        0.5, 0.5,
+    )  # fmt: skip
     if case.floor_source is None:
-        return _Finding(
-            Status.BELOW_RESOLUTION,
-            reason(
-                Cause.TOO_FEW_REPLICATES, freedom=problem.noise.freedom,
-                needed=config.needed_replicates,
-            ),
-            0.5, 0.5,
-        )  # fmt: skip
+        return too_few
     unseen = search.gap
     if case.floor_source == "replicates":
         # What replicates do not share is noise, whatever the model of the noise states.
@@ -266,6 +267,8 @@ def _unexplained(case: _Case) -> _Finding:
         why = _hidden_gap(case)
     if why is not None:
         return _unknown(case, problem.base, 0.98, why)
+    if case.alone:
+        return too_few
     best = max(search.first_gain.values(), default=0.0)
     unknown = 0.02 + 0.2 * min(unseen / config.unexplained_per_row, 1.0) ** 2
     none = (1.0 - unknown) * (1.0 - 0.15 * min(best / SELECTION.least_gain, 1.0))
