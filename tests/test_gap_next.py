@@ -22,6 +22,7 @@ from gap.design.library import LibraryExperiment, library_experiments
 from gap.effects.candidates import CANDIDATES
 from gap.estimation.fit_problem import FitProblem, FitResult
 from gap.estimation.information import tolerance
+from gap.reporting.text import barely_enough
 from gap.verdict import Experiment
 from gap_sets import settled_set
 from plant.effects.catalogue import CATALOGUE
@@ -195,12 +196,29 @@ def test_the_command_writes_the_file_or_names_the_standard(tmp_path: Path) -> No
 # ---------------------------------------------------------------------------- advice that holds
 
 
+@pytest.mark.parametrize(
+    ("protocol", "after", "barely"),
+    [("step", 3.4, True), ("step", 5.1, False), ("reference", 3.4, False), ("step", np.nan, False)],
+)
+def test_a_promise_that_an_inexact_form_may_break_is_said_to_be_barely_enough(
+    protocol: str, after: float, barely: bool
+) -> None:
+    """A standard measures one effect by itself: its promise does not rest on the others' forms."""
+    told = barely_enough(Experiment(protocol, {}, 1.0, after, 2, ("creep", "wear")))
+    assert (told is not None) == barely
+
+
 @pytest.mark.campaign
 def test_on_practice_sets_the_advised_experiment_separates_the_pair(tmp_path: Path) -> None:
-    """Of pairs that hold the truth and are not told apart yet, at least nine in ten then are."""
-    rows = [advice_campaign.one(number, tmp_path / f"{number}") for number in range(300, 380)]
-    tried = [row for row in rows if row is not None and row.get("achieved") is not None]
-    print("\n".join(advice_campaign.told(tried)))
+    """Of pairs that hold the truth and are not told apart yet, at least nine in ten then are.
+
+    Of those whose experiment promises enough for forms that are not exact: of the others `next`
+    says that it is barely enough.
+    """
+    rows = [advice_campaign.one(number, tmp_path / f"{number}") for number in range(300, 601)]
+    advised = [row for row in rows if row is not None and row.get("achieved") is not None]
+    print("\n".join(advice_campaign.told(advised)))
+    tried = [row for row in advised if row["predicted"] >= DESIGN.kept_sd]
     assert len(tried) >= 5
     apart = sum(row["achieved"] > 0.7 * DESIGN.enough_sd for row in tried)
     assert apart >= 0.9 * len(tried), tried

@@ -172,6 +172,8 @@ def test_settings_are_said_with_their_units_and_what_is_told_apart_already_is_sa
     )
     already = experiment_sentence(Experiment("step", {}, 9.0, 12.0, 2, ("creep", "wear")))
     assert already.startswith("These data tell them apart already")
+    assert told.endswith("repeats do not help against that.")
+    assert already.endswith("as far as the forms of the catalogue go).")
     nothing = experiment_sentence(Experiment("step", {}, 222.5, 222.5, 2, ("creep", "wear")))
     assert nothing.startswith(
         "No test of the library adds to the separation between creep and wear"

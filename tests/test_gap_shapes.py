@@ -70,7 +70,7 @@ def test_a_late_or_early_camera_shows_settled_points_where_they_are(delay_ms: fl
     """A table beside trials with time in them: its rows are no seconds."""
     late = [("camera_delay", "", delay_ms, {})]
     away = np.linspace(55.0, 65.0, 5)
-    moving = laws.true_length(still(away), late, C)
+    moving = laws.true_length(still(away, rate=np.full(5, 0.25)), late, C)
     assert np.abs(moving * 1e3 - away).max() > 2.0
     settled = still(away, time_s=np.arange(5.0), settled=np.ones(5, dtype=bool))
     assert laws.true_length(settled, late, C) == pytest.approx(away * 1e-3)

@@ -18,6 +18,7 @@ from gap.decision.diagnosis import Diagnosis, diagnosis
 from gap.design.config import DESIGN
 from gap.output import check_out, write_text
 from gap.reporting.empirical import empirical_lines
+from gap.reporting.text import barely_enough
 from gap.simulators.open import open_data_with
 from gap.verdict import Experiment, Gap, Status, Verdict, plain
 
@@ -267,6 +268,9 @@ def _next_text(verdict: Verdict, written: str | None, rig: str) -> list[str]:
             f"separation  {experiment.separation_now:.1f} now, {experiment.separation_after:.1f} "
             f"after ({' against '.join(experiment.between)})"
         )
+        barely = barely_enough(experiment)
+        if barely:
+            lines.append(f"            {barely}")
     lines.append(f"why         {experiment.why}")
     if written:
         lines.append(

@@ -248,7 +248,8 @@ def protocol_text(experiment: Experiment) -> str | None:
     lines = [
         f"# Advised: {experiment.why}.",
         f"# {experiment.trials} trials; separation {experiment.separation_now:.1f} now, "
-        f"{experiment.separation_after:.1f} afterwards (3.3 is right 95 times in 100).",
+        f"{experiment.separation_after:.1f} afterwards.",
+        f"# {DESIGN.enough_sd:g} is right 95 times in 100, if the forms of the catalogue are.",
     ]
     lines += [f"{k} = {toml_value(v)}" for k, v in table.items() if not isinstance(v, dict)]
     for key, value in table.items():

@@ -15,13 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from gap.data.dataset import DataSet
+from gap.data.motion import moves
 from gap.data.simulator import compared, rough_error_n
 from gap.data.trial import Channel, Trial
 from gap.model import bins
 from gap.model.clipping import CLIPPED_INPUT_KPA, CLIPPED_KPA
 from gap.model.features import BLOCKS, Mean, Rows, stacked
 from gap.model.nominal import nominal_law
-from gap.model.signals import Signal, edges_of, moving, smooth_slope
+from gap.model.signals import Signal, edges_of, smooth_slope
 from gap.model.unobserved_flow import passing, unknown_gas
 from plant.arrays import Array
 from plant.effects.arguments import Points, Whole
@@ -443,7 +444,7 @@ def _assign(
         piece.bin = found + FIRST_SETTLED
         return
     turns = np.empty(0)
-    swing = piece.length if moving(piece.length) else piece.pressure
+    swing = piece.length if moves(piece.length * 1e3) else piece.pressure
     if block in ("force", "load"):
         turns = bins.turning_points(t, swing, 0.1 * float(np.ptp(swing)) + 1e-9)
         if len(turns) > _MOST[block] / 4:

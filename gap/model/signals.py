@@ -11,12 +11,12 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 from scipy.stats import chi2
 
+from gap.data.motion import frame_noise, moves
 from gap.data.trial import Channel, Trial
 from gap.model.clipping import at_lower_end
 from plant.arrays import Array
 from plant.constants import STANDARD_GRAVITY_M_S2, PlantConstants
 
-_MOVED_M = 0.8e-3
 Mask = npt.NDArray[np.bool_]
 
 _NEAR_STOP_M = 0.8e-3
@@ -24,11 +24,8 @@ _AFTER_STOP_S = 0.08
 _RISE_KPA = 25.0
 _FRAME_NOISE_M = 0.015e-3
 _MOST_FRAME_NOISE_M = 0.1e-3
-_CALM_SHARE = 0.25
 # Noise of an acceleration as `_length_of` has it, over that of a second difference alone.
 _OF_BEND = 1.7
-# What white noise of one sd makes of a fourth difference, and the quartile of its absolute value.
-_OF_FOURTH = float(np.sqrt(70.0)) * 0.3186
 # Three sd of what white noise of one sd makes of a second difference's second difference.
 _NOISE_OF_BEND = 9.0
 # Stops stand where they should to half a millimetre (docs/reference/plant.md): three sd of that.
@@ -92,14 +89,6 @@ def _in_steps(time_s: Array, value: Array) -> Array:
     return made
 
 
-def moving(length_m: Array) -> bool:
-    """Whether a length moves by more than noise and settling."""
-    if len(length_m) < 3:
-        return False
-    low, high = np.quantile(length_m, [0.03, 0.97])
-    return bool(high - low > _MOVED_M)
-
-
 def smooth_slope(channel: Channel, half_s: float) -> Array:
     """|slope| in units per second over +/- half_s at each sample."""
     t = channel.time_s
@@ -139,9 +128,9 @@ class Signal:
     def of(cls, trial: Trial, constants: PlantConstants) -> Signal:
         """Decide what is held, loaded and regulated, and prepare the length."""
         camera = trial.get("length_mm")
-        moves = moving(camera.value * 1e-3)
+        seen_to_move = moves(camera.value)
         known = np.isfinite(trial.held_length_mm)
-        held = bool(known and not moves)
+        held = bool(known and not seen_to_move)
         loaded = bool(np.isfinite(trial.load_kg) and trial.load_kg > 0.0 and not held)
         time_s, length, rate, acceleration = _length_of(trial, camera, held)
         rate_sd = np.zeros(len(rate))
@@ -452,14 +441,8 @@ _WIDEST_HALF = 15
 
 
 def _frame_noise(length: Array) -> float:
-    """One sd in m of a camera's own noise, from fourth differences in the calmer part of a trial.
-
-    A motion that frames follow leaves next to nothing in them.
-    """
-    if len(length) < _FEWEST_FRAMES:
-        return 0.0
-    rough = float(np.quantile(np.abs(np.diff(length, 4)), _CALM_SHARE))
-    return min(rough / _OF_FOURTH, _MOST_FRAME_NOISE_M)
+    """One sd in m of a camera's own noise, as far as the diagnosis knows cameras to be noisy."""
+    return min(frame_noise(length), _MOST_FRAME_NOISE_M)
 
 
 def _doubts(time_s: Array, acceleration: Array, noise_m: float) -> tuple[Array, Array]:
@@ -482,7 +465,6 @@ def _doubts(time_s: Array, acceleration: Array, noise_m: float) -> tuple[Array, 
     return spread(spread(rough * step**2 / 8.0)), spread(0.5 * rough)
 
 
-_FEWEST_FRAMES = 20
 _SWING_OF_NOISE_SD = 3.0
 """Largest departure that noise makes among a few frames, in its sd. A matter of definition."""
 _MOST_NOISE_OF_SWING_M = 0.05e-3
@@ -523,4 +505,4 @@ def _regulated(trial: Trial) -> bool:
     width = max(1, len(value) // 200)
     block = value[: len(value) // width * width].reshape(-1, width).mean(axis=1)
     rise = float(np.max(block - np.minimum.accumulate(block)))
-    return rise > _RISE_KPA and not moving(trial.get("length_mm").value * 1e-3)
+    return rise > _RISE_KPA and not moves(trial.get("length_mm").value)

@@ -11,12 +11,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from gap.data.motion import moves
 from gap.data.simulator import Stage
 from gap.data.trial import SAME_S, Channel, Trial
 from plant.arrays import Array
-
-_MOVED_MM = 0.8
-"""A length that moves by less is held; what was written down is then better than the camera."""
 
 
 def wanted_times(trial: Trial, stage: Stage) -> Array | None:
@@ -35,16 +33,9 @@ def length_of(trial: Trial) -> Channel | float | None:
     """The length that a model is fed with: the held one, or what was measured where it moved."""
     camera = trial.get("length_mm")
     known = bool(np.isfinite(trial.held_length_mm))
-    if known and not _moves(camera.value):
+    if known and not moves(camera.value):
         return trial.held_length_mm
     return camera if len(camera) else None
-
-
-def _moves(length_mm: Array) -> bool:
-    if len(length_mm) < 3:
-        return False
-    low, high = np.quantile(length_mm, [0.03, 0.97])
-    return bool(high - low > _MOVED_MM)
 
 
 def stage_sources(

@@ -22,6 +22,19 @@ def moved(points: Points, values: Any, ahead_s: float) -> Any:
     return made
 
 
+def travelled(points: Points) -> Any:
+    """Length less that at the begin of each trial, without the noise of single readings.
+
+    It is the sum of the speed, which is taken over as many readings as the motion is straight.
+    """
+    made = np.zeros(len(points.length))
+    for a, b in pairwise(points.first.tolist()):
+        if b - a > 2 and not points.settled[a]:
+            mean = 0.5 * (points.rate[a + 1 : b] + points.rate[a : b - 1])
+            made[a + 1 : b] = np.cumsum(mean * np.diff(points.time_s[a:b]))
+    return made
+
+
 def bend(points: Points, values: Any) -> Any:
     """Second derivative in time; settled points have none."""
     return _slope(points, _slope(points, values))

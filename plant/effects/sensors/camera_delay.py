@@ -8,7 +8,7 @@ from plant.constants import PlantConstants
 from plant.effects.arguments import Array, Points, Shape
 from plant.effects.effect import Effect, InDiagnosis, InSensors, Parameter, Search
 from plant.effects.standards import LAMP
-from plant.effects.trials import moved
+from plant.effects.trials import moved, travelled
 
 
 def _delay(amount: float) -> float:
@@ -16,8 +16,10 @@ def _delay(amount: float) -> float:
 
 
 def _length(points: Points, amount: float, shape: Shape, c: PlantConstants) -> Array:
-    late = moved(points, points.length, _delay(amount)) - points.length
-    return np.where(points.held, 0.0, late)
+    # The mean of two readings has less noise than one: what was read, shifted by half a sample,
+    # would fit better whatever the clock.
+    path = travelled(points)
+    return np.where(points.held, 0.0, moved(points, path, _delay(amount)) - path)
 
 
 CAMERA_DELAY = Effect(
