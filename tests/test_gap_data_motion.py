@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gap.data.motion import frame_noise, moves
+from gap.data.motion import frame_noise, is_white, moves
 from gap.model import force as laws
 from test_gap_shapes import C, still
 
@@ -44,3 +44,15 @@ def test_a_late_camera_does_not_average_the_noise_of_its_frames() -> None:
     late = laws.true_length(read, [("camera_delay", "", 5.0, {})], C) * 1e3
     assert np.std(late - stroke) == pytest.approx(0.2, rel=0.1)
     assert np.mean(late - stroke) == pytest.approx(0.025, abs=0.03)
+
+
+@pytest.mark.parametrize("noise_mm", [0.02, 0.2])
+def test_noise_is_alike_all_over_and_a_load_that_bounces_is_not(noise_mm: float) -> None:
+    rng = np.random.default_rng(7)
+    noise = noise_mm * rng.normal(size=600)
+    since = np.arange(600) * 0.02
+    step = np.where(since < 5.0, 0.0, 8.0 * (1.0 - np.exp(-np.maximum(since - 5.0, 0.0) / 0.2)))
+    bounces = 3.0 * np.exp(-since / 2.0) * np.cos(2.0 * np.pi * 19.0 * since)
+    assert is_white(80.0 + noise)
+    assert is_white(80.0 - step + noise)
+    assert not is_white(80.0 + bounces + noise)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 from scipy.stats import chi2
 
-from gap.data.motion import frame_noise, moves
+from gap.data.motion import frame_noise, is_white, moves
 from gap.data.trial import Channel, Trial
 from gap.model.clipping import at_lower_end
 from plant.arrays import Array
@@ -24,6 +24,7 @@ _AFTER_STOP_S = 0.08
 _RISE_KPA = 25.0
 _FRAME_NOISE_M = 0.015e-3
 _MOST_FRAME_NOISE_M = 0.1e-3
+_MOST_WHITE_NOISE_M = 0.5e-3
 # Noise of an acceleration as `_length_of` has it, over that of a second difference alone.
 _OF_BEND = 1.7
 # Three sd of what white noise of one sd makes of a second difference's second difference.
@@ -441,8 +442,9 @@ _WIDEST_HALF = 15
 
 
 def _frame_noise(length: Array) -> float:
-    """One sd in m of a camera's own noise, as far as the diagnosis knows cameras to be noisy."""
-    return min(frame_noise(length), _MOST_FRAME_NOISE_M)
+    """One sd in m of a camera's own noise; more than usual only where it is plainly noise."""
+    most = _MOST_WHITE_NOISE_M if is_white(length) else _MOST_FRAME_NOISE_M
+    return min(frame_noise(length), most)
 
 
 def _doubts(time_s: Array, acceleration: Array, noise_m: float) -> tuple[Array, Array]:
